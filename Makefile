@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+# PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest.
+
+.PHONY: setup demo test lint bench clean help
+
+setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
+	@tools/setup
+
+demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measure them
+	@./flock fly --output runs/demo --force
+	@./flock metrics runs/demo
+	@./flock picture runs/demo
+	@echo
+	@echo "The bag is runs/demo, the picture of the formation is in it. The same flight without ROS, to the bit:"
+	@echo "  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"
+
+test: setup  ## run all tests
+	@./flock python -m pytest $(PYTEST_ARGS)
+
+lint: setup  ## check style and types
+	@./flock python -m ruff check
+	@./flock python -m ruff format --check
+	@./flock python -m mypy
+
+bench: setup  ## measure throughput
+	@if grep -q '^[^#]' requirements/bench.txt; then \
+		./flock python -m pip install --quiet --no-deps -r requirements/bench.txt; fi
+	@./flock python benchmarks/run.py
+
+clean:  ## remove all that was built; recorded flights stay
+	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+help:  ## list these targets
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16

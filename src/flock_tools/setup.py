@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+setup(
+    name="flock_tools",
+    version="0.1.0",
+    description="Offline tools for recorded flights: metrics, comparison, pictures.",
+    maintainer="The Flock authors",
+    maintainer_email="flock@example.org",
+    license="Apache-2.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/flock_tools"]),
+        ("share/flock_tools", ["package.xml"]),
+    ],
+    entry_points={
+        "console_scripts": [
+            "metrics=flock_tools.metrics:main",
+            "compare=flock_tools.compare:main",
+            "picture=flock_tools.picture:main",
+        ],
+    },
+)
