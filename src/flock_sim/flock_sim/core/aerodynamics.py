@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The aerodynamic interaction of two birds: the integral I and the drag D_ij made of it.
+
+Each wing is a horseshoe vortex: a bound segment of half-length a and two trailing vortices. The
+paper integrates the velocity that one horseshoe induces over the bound segment of the other,
+I = I_0 + I_+ + I_- (Eqs. I, I0, Ipm). With y > a + a' (bound segments that do not overlap
+sideways) the four edges lie at the lateral distances
+
+    p = y + a + a'    q = y + |a - a'|    r = y - |a - a'|    s = y - a - a'
+
+and with J(u) = sqrt(x^2 + u^2) the closed form becomes, written without 0/0 and without
+cancellation,
+
+    I(x) = f(|x|)          for x <= 0, a target ahead of (or beside) its source,
+    I(x) = 2 E - f(|x|)    for x >= 0, a target in the wake of its source,
+
+    f(X) = ln[(X + J(p)) (X + J(s)) / ((X + J(q)) (X + J(r)))] - (J(p) + J(s) - J(q) - J(r)) / X
+    E    = f(0) = ln[p s / (q r)] = ln[1 - 4 a a' / (y^2 - (a - a')^2)]
+
+E is the part of I that is even in x, so D_ij + D_ji does not depend on the streamwise distance.
+One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji.
+"""
+
+from math import log, log1p, pi, sqrt
+
+import numpy as np
+from numba import vectorize
+
+from flock_sim.core.kernel import FloatArray, kernel
+
+PER_FOUR_PI = 1.0 / (4.0 * pi)
+
+# Below this argument log1p loses what cancels as the inner vortices come close; the plain logarithm
+# of the product of edges does not.
+NEAR_TOUCH = -0.5
+
+
+@kernel
+def even_part(lateral: float, source_half: float, target_half: float) -> float:
+    """Return E, the part of the interaction integral that is even in x.
+
+    Parameters are in b: `lateral` = |y| > `source_half` + `target_half`, the vortex half-spans a
+    and a'. The result is dimensionless and negative. Eq. (pairingC_x) is Gamma^2 E / (2 pi) for
+    a = a'.
+    """
+    large = max(source_half, target_half)
+    small = min(source_half, target_half)
+    outer = lateral + large
+    inner = lateral - large
+    excess = -4.0 * large * small / ((outer - small) * (inner + small))
+    if excess < NEAR_TOUCH:
+        return log((outer + small) * (inner - small) / ((outer - small) * (inner + small)))
+    return log1p(excess)
+
+
+@kernel
+def ahead_integral(
+    distance: float, lateral: float, source_half: float, target_half: float
+) -> float:
+    """Return f, the interaction integral felt by a target `distance` >= 0 ahead of its source.
+
+    All arguments are in b, `lateral` > `source_half` + `target_half`. The result is dimensionless,
+    E at distance 0, and goes to zero as -2 a a' / distance^2. Eqs. (I), (I0), (Ipm) for x <= 0;
+    symmetric in the two half-spans to the last bit.
+
+    J(p) + J(s) - J(q) - J(r) is written by J(u) - u = X^2 / (J(u) + u) close by, where
+    p + s = q + r takes out the leading terms, and by differences of squares far away, where the J
+    themselves become equal; the logarithm's argument less one follows from it by
+    J(p) J(s) - J(q) J(r) = 8 a a' (X^2 - y^2 + a^2 + a'^2) / (J(p) J(s) + J(q) J(r)).
+    """
+    large = max(source_half, target_half)
+    small = min(source_half, target_half)
+    outer = lateral + large
+    inner = lateral - large
+    p = outer + small
+    q = outer - small
+    r = inner + small
+    s = inner - small
+    square = distance * distance
+    j_p = sqrt(square + p * p)
+    j_q = sqrt(square + q * q)
+    j_r = sqrt(square + r * r)
+    j_s = sqrt(square + s * s)
+
+    if distance < lateral:
+        plus_p = j_p + p
+        plus_q = j_q + q
+        plus_r = j_r + r
+        plus_s = j_s + s
+        p_s = plus_p * plus_s
+        q_r = plus_q * plus_r
+        bound = distance * (((plus_p + plus_s) * q_r - (plus_q + plus_r) * p_s) / (p_s * q_r))
+    else:
+        j_pq = j_p + j_q
+        j_sr = j_s + j_r
+        bound = 4.0 * small * (outer * j_sr - inner * j_pq) / (j_pq * j_sr * distance)
+
+    product = j_p * j_s + j_q * j_r
+    beyond = square - (lateral * lateral - large * large - small * small)
+    denominator = (distance + j_q) * (distance + j_r)
+    excess = (square * bound + 8.0 * large * small * beyond / product) / denominator
+    if excess < NEAR_TOUCH:
+        return log((distance + j_p) * (distance + j_s) / denominator) - bound
+    return log1p(excess) - bound
+
+
+@vectorize(cache=True)
+def _integral(x: float, lateral: float, source_half: float, target_half: float) -> float:
+    integral = ahead_integral(abs(x), abs(lateral), source_half, target_half)
+    if x > 0.0:
+        return 2.0 * even_part(abs(lateral), source_half, target_half) - integral
+    return integral
+
+
+def interaction_integral(
+    x: FloatArray | float,
+    lateral: FloatArray | float,
+    source_half: FloatArray | float,
+    target_half: FloatArray | float,
+) -> FloatArray:
+    """Return the interaction integral I(x, y, a, a'), elementwise. Eq. (I).
+
+    `x` is source minus target, so a target behind its source has x > 0 and sees the full wake;
+    `lateral` is y, of either sign; `source_half` and `target_half` are a and a'. All are in b and
+    broadcast together; the result is dimensionless, negative where drag is saved.
+
+    Raises ValueError where |y| <= a + a': the bound vortices would overlap sideways, where the
+    integral is singular.
+    """
+    if np.any(np.abs(lateral) <= np.add(source_half, target_half)):
+        raise ValueError("|y| must be above a + a', so that the bound vortices do not overlap")
+    return np.asarray(_integral(x, lateral, source_half, target_half), dtype=np.float64)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is to be recorded, put in order: messages in, as they come; complete rows out.
+
+A row is all that belongs to one recorded step: the wings (with the first), the stages of the steps
+since the row before (where stages are recorded), the time, and the state of every bird. Rows leave
+in order, each once, so that what the bag holds does not depend on how messages travelled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import State, Time
+from flock_sim.core.runge_kutta import STAGES
+from flock_sim.core.stage_message import stage_header
+
+
+@dataclass(frozen=True)
+class Row:
+    """Everything to be written for one recorded step, as it came off the wire."""
+
+    step: int
+    wings: list[bytes]
+    """The wing of bird 1, 2, ... N, with the first row."""
+    stages: list[tuple[int, bytes]]
+    """(bird, message), by step, stage and bird."""
+    time: bytes
+    states: list[bytes]
+    """The state of bird 1, 2, ... N."""
+
+
+class _Gathering:
+    """A row that is not complete yet."""
+
+    def __init__(self) -> None:
+        self.stages: dict[tuple[int, int], bytes] = {}
+        self.time: bytes | None = None
+        self.states: dict[int, bytes] = {}
+
+
+class Ledger:
+    """Gathers the rows of one run; what comes twice or is not due is counted and left out."""
+
+    def __init__(self, configuration: FlockConfiguration, record_stages: bool = False) -> None:
+        """Expect every recorded step of `configuration`."""
+        self.ignored = 0
+        self._configuration = configuration
+        self._every = configuration.record_every
+        self._record_stages = record_stages
+        self._rows: dict[int, _Gathering] = {}
+        self._wings: dict[int, bytes] = {}
+        self._next = 0
+        self._last = configuration.steps - configuration.steps % self._every
+
+    @property
+    def saved(self) -> int:
+        """The step of the last row that left; -1 before the first."""
+        return max(-1, self._next - self._every)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every row has left."""
+        return self._next > self._last
+
+    @property
+    def waiting_for(self) -> list[int]:
+        """The birds of which the next row lacks something."""
+        row = self._row(self._next)
+        return [
+            bird
+            for bird in range(1, self._configuration.birds + 1)
+            if bird not in row.states or bird not in self._wings
+        ]
+
+    def add_wing(self, bird: int, data: bytes) -> list[Row]:
+        """Take the BirdWing of `bird`; return the rows that are complete with it."""
+        self._wings.setdefault(bird, data)
+        return self._complete()
+
+    def add_state(self, bird: int, data: bytes) -> list[Row]:
+        """Take a BirdState of `bird`; return the rows that are complete with it."""
+        step = State.step_of(data)
+        states = self._row(step).states if self._due(step) else {bird: b""}
+        if bird in states:
+            self.ignored += 1
+            return []
+        states[bird] = data
+        return self._complete()
+
+    def add_time(self, data: bytes) -> list[Row]:
+        """Take a message of /clock; return the rows that are complete with it."""
+        stamp = Time.decode(data).stamp
+        step = round(stamp / (self._configuration.dt * self._configuration.second * 1e9))
+        if not self._due(step) or self._configuration.stamp(step) != stamp:
+            self.ignored += 1
+            return []
+        self._row(step).time = data
+        return self._complete()
+
+    def add_stage(self, bird: int, data: bytes) -> list[Row]:
+        """Take a BirdStage of `bird`; return the rows that are complete with it."""
+        _, step, _, _, stage, _ = stage_header(data)
+        row = step - step % self._every + self._every
+        if not self._due(row):
+            self.ignored += row <= self._last
+            return []
+        self._row(row).stages[STAGES * step + stage, bird] = data
+        return self._complete()
+
+    def _due(self, step: int) -> bool:
+        return step % self._every == 0 and self._next <= step <= self._last
+
+    def _row(self, step: int) -> _Gathering:
+        return self._rows.setdefault(step, _Gathering())
+
+    def _complete(self) -> list[Row]:
+        rows = []
+        birds = range(1, self._configuration.birds + 1)
+        stages = STAGES * self._every * len(birds) if self._record_stages else 0
+        while not self.complete:
+            row = self._row(self._next)
+            if (
+                row.time is None
+                or len(self._wings) < len(birds)
+                or len(row.states) < len(birds)
+                or len(row.stages) < (stages if self._next else 0)
+            ):
+                break
+            in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
+            states = [row.states[bird] for bird in birds]
+            wings = [] if self._next else [self._wings[bird] for bird in birds]
+            rows.append(Row(self._next, wings, in_order, row.time, states))
+            del self._rows[self._next]
+            self._next += self._every
+        return rows

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flock's messages as plain data, and as the bytes that travel and are recorded (CDR).
+
+The definitions are those of `flock_interfaces`; a test holds these against the generated ones.
+Having them here lets the core, the recorder and the offline tools work on bytes without ROS.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.kernel import FloatArray
+
+ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
+FRAME = "flock"
+STATE_STEP_AT = 28  # encapsulation 4, stamp 8, length of FRAME 4, FRAME and its zero 6, padding 6
+
+BILLION = 1_000_000_000
+
+
+class Message:
+    """A message whose fields are given, in order, by CDR kinds.
+
+    Kinds are those of `struct` (Q, q, I, i, B, d), "text" and "numbers" (a float64 sequence).
+    """
+
+    TYPE: ClassVar[str]
+    KINDS: ClassVar[tuple[str, ...]]
+
+    def encode(self) -> bytes:
+        """Return the message as CDR, encapsulation header included."""
+        data = bytearray(ENCAPSULATION)
+        for kind, value in zip(self.KINDS, self._values(), strict=True):
+            if kind == "text":
+                text = value.encode() + b"\0"
+                _put(data, "I", len(text))
+                data += text
+            elif kind == "numbers":
+                _put(data, "I", len(value))
+                if len(value):
+                    _align(data, 8)
+                    data += np.ascontiguousarray(value, dtype="<f8").tobytes()
+            else:
+                _put(data, kind, value)
+        return bytes(data)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Self:
+        """Return the message in `data`. Raises ValueError if it does not hold one."""
+        if data[:4] != ENCAPSULATION:
+            raise ValueError(f"{cls.TYPE}: not little-endian CDR")
+        values: list[object] = []
+        at = 4
+        try:
+            for kind in cls.KINDS:
+                first = "I" if kind in ("text", "numbers") else kind
+                size = struct.calcsize(first)
+                at += (4 - at) % size
+                (value,) = struct.unpack_from("<" + first, data, at)
+                at += size
+                if kind == "text":
+                    if at + value > len(data):
+                        raise ValueError("text cut short")
+                    values.append(str(data[at : at + value - 1], "utf-8"))
+                    at += value
+                elif kind == "numbers":
+                    at += (4 - at) % 8 if value else 0
+                    values.append(np.frombuffer(data, dtype="<f8", count=value, offset=at))
+                    at += 8 * value
+                else:
+                    values.append(value)
+        except (struct.error, ValueError) as error:
+            raise ValueError(f"{cls.TYPE}: {len(data)} bytes are too few ({error})") from None
+        return cls(*values)
+
+    def _values(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+
+
+def _align(data: bytearray, size: int) -> None:
+    data += bytes((4 - len(data)) % size)
+
+
+def _put(data: bytearray, kind: str, value: object) -> None:
+    _align(data, struct.calcsize(kind))
+    data += struct.pack("<" + kind, value)
+
+
+@dataclass(frozen=True, slots=True)
+class Wing(Message):
+    """BirdWing: the geometry of a bird. `span_ratio` has shape (members,)."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdWing"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "I", "numbers")
+
+    run_id: int
+    bird: int
+    span_ratio: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Stage(Message):
+    """BirdStage: one Runge-Kutta stage of a bird; arrays of shape (members,), in b and U_min."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdStage"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", "B", "numbers", "numbers", "numbers")
+
+    run_id: int
+    step: int
+    epoch: int
+    bird: int
+    stage: int
+    position: FloatArray
+    speed: FloatArray
+    circulation: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class State(Message):
+    """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
+    KINDS: ClassVar[tuple[str, ...]] = ("i", "I", "text", "Q", "d", *4 * ("numbers",))
+
+    seconds: int
+    nanoseconds: int
+    frame: str
+    step: int
+    time: float
+    position: FloatArray
+    speed: FloatArray
+    circulation: FloatArray
+    interaction_drag: FloatArray
+
+    @staticmethod
+    def step_of(data: bytes) -> int:
+        """Return the step of an encoded state, without decoding it."""
+        if len(data) < STATE_STEP_AT + 8:
+            raise ValueError(f"{State.TYPE}: {len(data)} bytes are too few")
+        return int.from_bytes(data[STATE_STEP_AT : STATE_STEP_AT + 8], "little")
+
+    @classmethod
+    def at(
+        cls,
+        configuration: FlockConfiguration,
+        step: int,
+        position: FloatArray,
+        speed: FloatArray,
+        circulation: FloatArray,
+        interaction_drag: FloatArray,
+    ) -> State:
+        """Return the state at the beginning of `step`, with its stamp and time."""
+        return cls(
+            *divmod(configuration.stamp(step), BILLION),
+            FRAME,
+            step,
+            configuration.time(step),
+            position,
+            speed,
+            circulation,
+            interaction_drag,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Grant(Message):
+    """Grant: birds may go up to the beginning of `step`; the run ends at step `end`."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/Grant"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "Q", "d", "I")
+
+    run_id: int
+    step: int
+    end: int
+    dt: float
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(Message):
+    """Progress: a bird has reached `step`, or the recorder has all up to `step` on disk."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/Progress"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "q", "I", "text")
+
+    run_id: int
+    step: int
+    epoch: int
+    who: str
+
+
+@dataclass(frozen=True, slots=True)
+class Time(Message):
+    """rosgraph_msgs/Clock: simulated time."""
+
+    TYPE: ClassVar[str] = "rosgraph_msgs/msg/Clock"
+    KINDS: ClassVar[tuple[str, ...]] = ("i", "I")
+
+    seconds: int
+    nanoseconds: int
+
+    @classmethod
+    def at(cls, stamp: int) -> Time:
+        """Return the message for a simulated time of `stamp` ns."""
+        return cls(*divmod(stamp, BILLION))
+
+    @property
+    def stamp(self) -> int:
+        """Simulated time, in ns."""
+        return self.seconds * BILLION + self.nanoseconds

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a flock at one moment: does it hold together, how, and what is gained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flock_sim.core import formation
+from flock_sim.core.aerodynamics import even_part, interaction_integral
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.scaling import Scales
+
+STABLE_BELOW = 1e-4
+"""A flock is stable where sigma_U is below this, in U_min."""
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """The metrics of a flock; every list has one entry a member, birds run from tail to tail."""
+
+    birds: int
+    members: int
+    coupling: str
+    dt: float
+    steps: int
+    t_final: float
+    leader: int
+    mean_speed: FloatArray
+    """<U>, shape (members,), in U_min."""
+    speed_std: FloatArray
+    """sigma_U = sqrt(<U^2> - <U>^2), shape (members,), in U_min."""
+    stable: list[bool]
+    spacing: FloatArray
+    """x_{i+1} - x_i, shape (members, birds - 1), in b."""
+    position: FloatArray
+    """x_i relative to the leader, shape (members, birds), in b."""
+    lateral: FloatArray
+    """y_i relative to the leader, shape (members, birds), in b."""
+    drag_reduction: FloatArray
+    """eta_i = -(sum_j D_ji) / D_0, D_0 that of the standard bird at cruise; (members, birds)."""
+    mean_drag_reduction: FloatArray
+    """eta, the mean over the birds, shape (members,)."""
+    hierarchical: list[bool]
+    """Whether spacing falls strictly from tail to leader on the left wing. Eq. (ordering)."""
+    profile_error: list[float | None]
+    """Largest |D_{i,i-1} / C - (1 - (i - 1) / N)| on the left wing, Eq. (linear_general_x);
+    None where it does not apply: not homogeneous, not nearest-neighbour, or N even."""
+
+    def as_json(self) -> dict[str, object]:
+        """Return plain lists and numbers; what is not finite becomes None: JSON has no nan."""
+        return {name: _plain(value) for name, value in vars(self).items()}
+
+
+def measure(
+    configuration: FlockConfiguration,
+    step: int,
+    position: FloatArray,
+    speed: FloatArray,
+    interaction_drag: FloatArray,
+) -> Metrics:
+    """Return the metrics of a flock at `step`; arrays of shape (birds, members), dimensionless."""
+    birds = configuration.birds
+    leader = formation.leader(birds)
+    with np.errstate(invalid="ignore", over="ignore"):
+        # The mean of squared deviations is <U^2> - <U>^2 without its cancellation.
+        mean = speed.mean(axis=0)
+        deviation = np.sqrt(((speed - mean) ** 2).mean(axis=0))
+        spacing = np.diff(position, axis=0)
+        # 0.0 - drag, not -drag: a bird alone saves 0, not -0.
+        reduction = (0.0 - interaction_drag) / Scales.of(configuration).cruise_drag
+        left = spacing[: leader - 1]
+        ordered = np.all(left[1:] < left[:-1], axis=0) & np.all(np.isfinite(left), axis=0)
+        finite = np.isfinite(position).all(axis=0) & np.isfinite(speed).all(axis=0)
+        relative = position - position[leader - 1]
+        mean_reduction = reduction.mean(axis=0)
+        profile = _profile_error(configuration, left)
+    return Metrics(
+        birds=birds,
+        members=configuration.members,
+        coupling=configuration.coupling,
+        dt=configuration.dt,
+        steps=step,
+        t_final=configuration.time(step),
+        leader=leader,
+        mean_speed=mean,
+        speed_std=deviation,
+        stable=[bool(ok) for ok in (deviation < STABLE_BELOW) & finite],
+        spacing=spacing.T,
+        position=relative.T,
+        lateral=formation.lateral_positions(configuration.span_ratio).T,
+        drag_reduction=reduction.T,
+        mean_drag_reduction=mean_reduction,
+        hierarchical=[bool(ok) for ok in ordered],
+        profile_error=profile,
+    )
+
+
+def _profile_error(configuration: FlockConfiguration, left: FloatArray) -> list[float | None]:
+    """Return the deviation from the linear law; `left`: spacings, shape (n - 1, members)."""
+    birds = configuration.birds
+    errors: list[float | None] = []
+    for m in range(configuration.members):
+        ratio = configuration.span_ratio[:, m]
+        if (
+            configuration.coupling != "nearest"
+            or birds % 2 == 0
+            or np.ptp(ratio) > 0.0
+            or birds == 1
+        ):
+            errors.append(None)
+            continue
+        half = formation.VORTEX_FRACTION * ratio[0]
+        lateral = 2.0 * ratio[0] + formation.TIP_SPACING
+        # C = Gamma^2 E / (2 pi) and D_{i,i-1} = Gamma^2 I / (4 pi): their ratio is I / (2 E).
+        share = interaction_integral(left[:, m], lateral, half, half) / (
+            2.0 * even_part(lateral, half, half)
+        )
+        gap = np.arange(1, len(left) + 1)
+        errors.append(float(np.max(np.abs(share - (1.0 - gap / birds)))))
+    return errors
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole flock in one loop: what the distributed flight must equal to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.core import formation
+from flock_sim.core.aerodynamics import even_part
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
+from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.runge_kutta import STAGES, stage_value
+from flock_sim.core.scaling import BirdCoefficients, Scales
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The states of the whole flock at one recorded step; arrays of shape (birds, members)."""
+
+    step: int
+    position: FloatArray
+    speed: FloatArray
+    circulation: FloatArray
+    interaction_drag: FloatArray
+
+
+class Monolith:
+    """A flock that is integrated as one system. `position` and `speed` are (birds, members).
+
+    >>> flock = Monolith(FlockConfiguration(birds=3, t_max=100.0))
+    >>> states = list(flock.fly())
+    >>> states[-1].step
+    100
+    """
+
+    def __init__(self, configuration: FlockConfiguration) -> None:
+        """Place the flock at its start."""
+        self.configuration = configuration
+        ratio = configuration.span_ratio
+        birds, members = ratio.shape
+        scales = Scales.of(configuration)
+        self.coefficients = np.stack([BirdCoefficients.of(scales, row).rows() for row in ratio])
+        self.half_span = formation.VORTEX_FRACTION * ratio
+        pairs = list(formation.pairs(birds, configuration.coupling))
+        self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2) - 1
+        self.lateral = np.empty((len(pairs), members))
+        self.even = np.empty((len(pairs), members))
+        for k, (i, j) in enumerate(self.pairs):
+            self.lateral[k] = formation.lateral_distance(ratio[i : j + 1])
+            for m in range(members):
+                self.even[k, m] = even_part(
+                    self.lateral[k, m], self.half_span[i, m], self.half_span[j, m]
+                )
+        start = [formation.start_position(i, birds) for i in range(1, birds + 1)]
+        self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
+        self.speed = np.full((birds, members), scales.cruise_speed)
+        self.step = 0
+
+    def fly(self, rows: int = 1024) -> Iterator[Recorded]:
+        """Integrate to the end, yielding every recorded state; `rows` at most are held at once."""
+        steps, every = self.configuration.steps, self.configuration.record_every
+        while True:
+            count = min(rows * every, steps - self.step)
+            first = self.step
+            recorded = self.advance(count)
+            for k, state in enumerate(recorded):
+                yield Recorded(first + k * every, *state)
+            if self.step == steps:
+                if steps % every == 0:
+                    yield Recorded(steps, *self.observe())
+                return
+
+    def advance(self, steps: int) -> FloatArray:
+        """Take `steps` steps from a recorded one; return the states recorded on the way.
+
+        The result has shape (records, 4, birds, members): position, speed, circulation and
+        interaction drag at the beginning of the first, the `record_every`-th ... step.
+        """
+        every = self.configuration.record_every
+        recorded = np.empty((-(-steps // every), STAGES, *self.position.shape))
+        _advance(
+            self.position,
+            self.speed,
+            self.configuration.dt,
+            steps,
+            every,
+            self.coefficients,
+            self.half_span,
+            self.pairs,
+            self.lateral,
+            self.even,
+            recorded,
+        )
+        self.step += steps
+        return recorded
+
+    def observe(self) -> FloatArray:
+        """Return the present state as `advance` records it, shape (4, birds, members)."""
+        circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
+        _forces(
+            self.position,
+            self.speed,
+            self.coefficients,
+            self.half_span,
+            self.pairs,
+            self.lateral,
+            self.even,
+            circulation,
+            drag,
+        )
+        return np.stack([self.position, self.speed, circulation, drag])
+
+
+@kernel
+def _forces(
+    position: FloatArray,
+    speed: FloatArray,
+    coefficients: FloatArray,
+    half_span: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    lateral: FloatArray,
+    even: FloatArray,
+    circulation: FloatArray,
+    drag: FloatArray,
+) -> None:
+    """Fill `circulation` and `drag`, both (birds, members), pair by pair in ascending order."""
+    birds, members = position.shape
+    for i in range(birds):
+        for m in range(members):
+            circulation[i, m] = circulation_at(speed[i, m], coefficients[i, 4, m])
+            drag[i, m] = 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        for m in range(members):
+            on_i, on_j = drag_of_pair(
+                position[j, m] - position[i, m],
+                lateral[k, m],
+                half_span[i, m],
+                half_span[j, m],
+                even[k, m],
+                circulation[i, m],
+                circulation[j, m],
+            )
+            drag[i, m] += on_i
+            drag[j, m] += on_j
+
+
+@kernel
+def _advance(
+    position: FloatArray,
+    speed: FloatArray,
+    dt: float,
+    steps: int,
+    every: int,
+    coefficients: FloatArray,
+    half_span: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    lateral: FloatArray,
+    even: FloatArray,
+    recorded: FloatArray,
+) -> None:
+    """Take `steps` steps in place, recording every `every`-th from the first."""
+    birds, members = position.shape
+    position_now = position.copy()
+    speed_now = speed.copy()
+    circulation = np.empty_like(speed)
+    drag = np.empty_like(speed)
+    velocity_slopes = np.empty((STAGES, birds * members))
+    speed_slopes = np.empty((STAGES, birds * members))
+
+    for step in range(steps):
+        for stage in range(STAGES):
+            _forces(
+                position_now,
+                speed_now,
+                coefficients,
+                half_span,
+                pairs,
+                lateral,
+                even,
+                circulation,
+                drag,
+            )
+            if stage == 0 and step % every == 0:
+                row = recorded[step // every]
+                row[0], row[1], row[2], row[3] = position, speed, circulation, drag
+            for i in range(birds):
+                for m in range(members):
+                    k = i * members + m
+                    velocity_slopes[stage, k] = speed_now[i, m]
+                    speed_slopes[stage, k] = acceleration(
+                        speed_now[i, m],
+                        drag[i, m],
+                        coefficients[i, 0, m],
+                        coefficients[i, 1, m],
+                        coefficients[i, 2, m],
+                        coefficients[i, 3, m],
+                    )
+                    position_now[i, m] = stage_value(
+                        position[i, m], dt, velocity_slopes, stage + 1, k
+                    )
+                    speed_now[i, m] = stage_value(speed[i, m], dt, speed_slopes, stage + 1, k)
+        position[:] = position_now
+        speed[:] = speed_now

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a flock, and how deep the queues on them are."""
+
+from __future__ import annotations
+
+from flock_sim.core.configuration import FlockConfiguration
+
+NAMESPACE = "/flock"
+CLOCK_TOPIC = "/clock"
+GRANT_TOPIC = f"{NAMESPACE}/clock/grant"
+PROGRESS_TOPIC = f"{NAMESPACE}/progress"
+RECORDER = "recorder"
+
+GRANT_DEPTH = 1000
+STAGE_DEPTH = 128
+"""Stages that a bird keeps for a listener that is slow; neighbours need two, a recorder more."""
+
+STATE_BYTES_AHEAD = 4 * 2**20
+"""Room for the states of a flock on their way to the recorder."""
+
+
+def bird_name(bird: int) -> str:
+    """Return the node name of bird 1..N: bird_01, ..."""
+    return f"bird_{bird:02d}"
+
+
+def wing_topic(bird: int) -> str:
+    """Return the topic on which a bird's wing is latched."""
+    return f"{NAMESPACE}/{bird_name(bird)}/wing"
+
+
+def stage_topic(bird: int) -> str:
+    """Return the topic of a bird's stages."""
+    return f"{NAMESPACE}/{bird_name(bird)}/stage"
+
+
+def state_topic(bird: int) -> str:
+    """Return the topic of a bird's states."""
+    return f"{NAMESPACE}/{bird_name(bird)}/state"
+
+
+def rows_ahead(configuration: FlockConfiguration) -> int:
+    """Return how many recorded steps may be on their way to the recorder at once."""
+    row = configuration.birds * (128 + 32 * configuration.members)
+    return min(512, max(8, STATE_BYTES_AHEAD // row))
+
+
+def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
+    """Return how many steps the flock may be ahead of what is on disk."""
+    steps = rows_ahead(configuration) * configuration.record_every
+    return min(steps, STAGE_DEPTH // 4 - 2) if record_stages else steps
+
+
+def depth(topic: str, configuration: FlockConfiguration) -> int:
+    """Return the depth of the queues of `topic`: all that may be under way on it, and more."""
+    kind = topic.rpartition("/")[2]
+    if kind in ("state", "clock"):
+        return 2 * rows_ahead(configuration)
+    return {"stage": STAGE_DEPTH, "grant": GRANT_DEPTH}.get(kind, 1)
