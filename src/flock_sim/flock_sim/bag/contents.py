@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in an MCAP file, as its summary tells it."""
+
+import os
+import zlib
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
+
+from flock_sim.bag.frames import (
+    FRAME,
+    ChunkPlace,
+    DamagedError,
+    parse,
+    read_content,
+    read_frame,
+    records_in,
+)
+from flock_sim.bag.layout import MAGIC
+
+_FOOTER_SIZE = FRAME.size + 20  # bytes
+_END_SIZE = _FOOTER_SIZE + len(MAGIC)
+_CRC_SIZE = 4
+
+
+@dataclass
+class Contents:
+    """The inventory of one MCAP file.
+
+    `loose` says that there are messages outside of chunks, which only reading on finds; `whole`
+    is where the last whole record of the data ends, in bytes; `missing` is None for a file that
+    is as its writer meant it, or some words on what is not there.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    counts: dict[int, int] | None = None  # messages by channel, where there is a summary
+    last_time: int | None = None  # ns, the latest log time; None without messages
+    loose: bool = False
+    whole: int = 0
+    missing: str | None = None
+
+    def define(self, opcode: int, content: bytes) -> None:
+        """Take in a schema, channel or metadata record, no other; raises DamagedError."""
+        if opcode == Opcode.SCHEMA:
+            schema: Schema = parse(Schema.read, content)
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel: Channel = parse(Channel.read, content)
+            self.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            record: Metadata = parse(Metadata.read, content)
+            self.metadata[record.name] = record.metadata
+
+    def meet(self, time: int) -> None:
+        """Take note of a log time in ns."""
+        self.last_time = time if self.last_time is None else max(self.last_time, time)
+
+
+def has_end(fd: int) -> bool:
+    """Tell whether the file ends as its writer ends it: with a footer and the magic."""
+    size = os.fstat(fd).st_size
+    end = os.pread(fd, _END_SIZE, max(0, size - _END_SIZE))
+    return end[:1] == bytes([Opcode.FOOTER]) and end.endswith(MAGIC)
+
+
+def summarised(fd: int) -> Contents | None:
+    """Read the summary of a file that has its end; None where it does not tell everything.
+
+    Raises DamagedError where there is a summary that is not sound.
+    """
+    end = os.fstat(fd).st_size - _END_SIZE
+    footer: Footer = parse(Footer.read, read_content(fd, end, _FOOTER_SIZE - FRAME.size))
+    if footer.summary_start == 0:
+        return None
+    if footer.summary_start > end:
+        raise DamagedError("it begins after its end")
+    block = os.pread(fd, end + _FOOTER_SIZE - footer.summary_start, footer.summary_start)
+    # The CRC covers the summary and the footer up to the CRC itself, its last field.
+    if footer.summary_crc and zlib.crc32(block[:-_CRC_SIZE]) != footer.summary_crc:
+        raise DamagedError("its CRC does not fit")
+
+    contents = Contents(whole=footer.summary_start)
+    statistics: Statistics | None = None
+    sets: dict[frozenset[int], frozenset[int]] = {}  # one of each: most chunks have the same
+    for opcode, content in records_in(block[:-_FOOTER_SIZE]):
+        contents.define(opcode, content)
+        if opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics.read, content)
+        elif opcode == Opcode.CHUNK_INDEX:
+            chunk: ChunkIndex = parse(ChunkIndex.read, content)
+            channels = frozenset(chunk.message_index_offsets)
+            contents.chunks.append(
+                ChunkPlace(
+                    chunk.chunk_start_offset,
+                    chunk.chunk_length,
+                    chunk.message_start_time,
+                    chunk.message_end_time,
+                    sets.setdefault(channels, channels),
+                )
+            )
+        elif opcode == Opcode.METADATA_INDEX:
+            index: MetadataIndex = parse(MetadataIndex.read, content)
+            frame = read_frame(fd, index.offset)
+            if frame is None or frame[0] != Opcode.METADATA:
+                raise DamagedError(f"there is no metadata at byte {index.offset}")
+            contents.define(frame[0], read_content(fd, index.offset, frame[1]))
+
+    if (
+        statistics is None
+        or statistics.channel_count != len(contents.channels)
+        or statistics.chunk_count != len(contents.chunks)
+        or statistics.metadata_count != len(contents.metadata)
+    ):
+        return None
+    contents.chunks.sort()  # by offset: the order of the file
+    contents.counts = statistics.channel_message_counts
+    contents.loose = statistics.message_count > 0 and not contents.chunks
+    contents.last_time = statistics.message_end_time if statistics.message_count else None
+    return contents

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MCAP as it lies in a file: records framed by opcode and length, chunks of records."""
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
+from typing import NamedTuple, TypeVar
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+
+from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS, MESSAGE_OPCODE
+
+FRAME = struct.Struct("<BQ")  # opcode, length of the record that follows
+CHUNK_TIMES = struct.Struct("<QQ")  # what a chunk begins with: start and end time, ns
+_CHUNK_HEAD = struct.Struct("<QQQII")  # ... uncompressed size, CRC, length of compression's name
+_LENGTH = struct.Struct("<Q")
+_MESSAGE_FRAME = FRAME.size + MESSAGE_FIELDS
+
+Record = TypeVar("Record")
+
+
+class DamagedError(ValueError):
+    """Bytes that are not what they must be in an MCAP file; the text says why."""
+
+
+class ChunkPlace(NamedTuple):
+    """Where a chunk lies in the file and what is in it."""
+
+    offset: int  # bytes, of its frame
+    length: int  # bytes, with its frame
+    start_time: int  # ns, of its earliest message
+    end_time: int  # ns, of its latest message
+    channels: frozenset[int]  # of its messages; empty when the file does not tell
+
+
+class _ExactStream(ReadDataStream):
+    """A stream that does not take part of a field for the whole."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile()
+        return data
+
+
+def parse(read: Callable[[ReadDataStream], Record], content: bytes) -> Record:
+    """Make a record of its content, by mcap's own `read`; raises DamagedError."""
+    try:
+        return read(_ExactStream(BytesIO(content)))
+    except (McapError, struct.error, ValueError) as error:
+        raise DamagedError(f"a record does not parse: {error!r}") from error
+
+
+def read_frame(fd: int, offset: int) -> tuple[int, int] | None:
+    """Read opcode and content length of the frame at `offset`; None where the file is torn."""
+    head = os.pread(fd, FRAME.size, offset)
+    if len(head) < FRAME.size:
+        return None
+    opcode, length = FRAME.unpack(head)
+    # 0 is no opcode: it is what a power cut leaves of blocks that were never written.
+    return None if opcode == 0 else (opcode, length)
+
+
+def read_content(fd: int, offset: int, length: int) -> bytes:
+    """Read the content of the frame at `offset`; raises DamagedError where the file is torn."""
+    # A damaged length must not make us allocate what it claims.
+    missing = offset + FRAME.size + length - os.fstat(fd).st_size
+    if missing > 0:
+        raise DamagedError(f"{missing} of {length} bytes are missing")
+    return os.pread(fd, length, offset + FRAME.size)
+
+
+def read_chunk(fd: int, place: ChunkPlace) -> bytes:
+    """Read the records of a chunk, decompressed, checked against its CRC; raises DamagedError."""
+    frame = read_frame(fd, place.offset)
+    if frame != (Opcode.CHUNK, place.length - FRAME.size):
+        raise DamagedError("there is no chunk")
+    content = read_content(fd, place.offset, place.length - FRAME.size)
+    try:
+        _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
+        data_at = _CHUNK_HEAD.size + name_length + _LENGTH.size
+        compression = content[_CHUNK_HEAD.size : data_at - _LENGTH.size].decode()
+        (length,) = _LENGTH.unpack_from(content, data_at - _LENGTH.size)
+    except (struct.error, ValueError) as error:
+        raise DamagedError(f"its head does not parse: {error}") from error
+    if data_at + length > len(content):
+        raise DamagedError("its data is cut short")
+    body = _decompress(content[data_at : data_at + length], compression, size)
+    if crc and zlib.crc32(body) != crc:
+        raise DamagedError("its CRC does not fit")
+    return body
+
+
+def _decompress(data: bytes, compression: str, size: int) -> bytes:
+    try:
+        if compression == "zstd":
+            # A damaged frame must not make us allocate what it claims.
+            if zstandard.frame_content_size(data) > size:
+                raise DamagedError("its size does not fit")
+            body = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        elif compression == "lz4":
+            body = lz4.frame.decompress(data)
+        elif compression == "":
+            body = data
+        else:
+            raise DamagedError(f"its compression {compression!r} is none of zstd, lz4 or none")
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise DamagedError(f"it does not decompress: {error}") from error
+    if len(body) != size:
+        raise DamagedError("its size does not fit")
+    return body
+
+
+def messages_in(
+    body: bytes, topics: Mapping[int, str], start: int, end: int
+) -> Iterator[tuple[str, int, bytes]]:
+    """Yield the messages (topic, log time in ns, data) of a chunk's body, in its order.
+
+    Only of the channels in `topics`, and with start <= log time < end. Raises DamagedError.
+    """
+    position = 0
+    size = len(body)
+    unpack = MESSAGE.unpack_from
+    topic_of = topics.get
+    try:
+        while position < size:
+            if body[position] != MESSAGE_OPCODE:
+                position += FRAME.size + FRAME.unpack_from(body, position)[1]
+                continue
+            _, length, channel, _, log_time, _ = unpack(body, position)
+            data_at = position + _MESSAGE_FRAME
+            position += FRAME.size + length
+            if position > size or data_at > position:
+                raise DamagedError("a message in it is cut short")
+            topic = topic_of(channel)
+            if topic is not None and start <= log_time < end:
+                yield topic, log_time, body[data_at:position]
+    except struct.error as error:
+        raise DamagedError(f"a record in it is cut short: {error}") from error
+
+
+def records_in(body: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record in a body or a summary; raises DamagedError."""
+    position = 0
+    while position < len(body):
+        if position + FRAME.size > len(body):
+            raise DamagedError("a record in it is cut short")
+        opcode, length = FRAME.unpack_from(body, position)
+        position += FRAME.size + length
+        if position > len(body):
+            raise DamagedError("a record in it is cut short")
+        yield opcode, body[position - length : position]

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What surrounds the chunks of an MCAP file: the head before them, the summary after them."""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from flock_sim.bag.chunk import SealedChunk
+from flock_sim.bag.definitions import Definition
+from flock_sim.bag.topic import Topic
+
+MAGIC = b"\x89MCAP0\r\n"
+# No version in it: the same flight gives the same file, whoever installed what.
+_LIBRARY = "flock"
+
+
+def pack(*records: McapRecord) -> bytes:
+    """Serialise the records, one after the other."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return packed
+
+
+@dataclass
+class Written:
+    """What the file's chunks hold so far: what the summary tells of them.
+
+    Memory: `chunk_index` grows by 77 + 10 * (channels in it) bytes a chunk.
+    """
+
+    counts: dict[int, int] = field(default_factory=dict)  # messages by channel
+    start_time: int = 0  # ns, of the earliest message; 0 when there is none
+    end_time: int = 0  # ns, of the latest message
+    chunks: int = 0
+    chunk_index: bytearray = field(default_factory=bytearray)  # packed ChunkIndex records
+
+    @property
+    def messages(self) -> int:
+        """Messages in whole chunks."""
+        return sum(self.counts.values())
+
+    def add(self, sealed: SealedChunk) -> None:
+        """Count one more chunk."""
+        self.start_time = (
+            min(self.start_time, sealed.start_time) if self.chunks else sealed.start_time
+        )
+        self.end_time = max(self.end_time, sealed.end_time)
+        self.chunks += 1
+        self.chunk_index += sealed.index
+        for channel, count in sealed.counts:
+            self.counts[channel] = self.counts.get(channel, 0) + count
+
+
+class Layout:
+    """The records of one bag that are known from the start.
+
+    Channel i (1, 2, ...) is the i-th topic; schemas are numbered by first use. The head holds
+    them outside any chunk, so that every whole chunk of a torn file can be read.
+    """
+
+    def __init__(
+        self,
+        topics: Sequence[Topic],
+        definitions: Mapping[str, Definition],
+        metadata: Mapping[str, Mapping[str, str]],
+    ) -> None:
+        schema_ids = {name: number for number, name in enumerate(definitions, start=1)}
+        self._schemas = [
+            Schema(id=schema_ids[name], data=known.text.encode(), encoding="ros2msg", name=name)
+            for name, known in definitions.items()
+        ]
+        self._channels = [
+            Channel(
+                id=number,
+                topic=topic.name,
+                message_encoding="cdr",
+                metadata={
+                    "offered_qos_profiles": topic.qos_text(),
+                    "topic_type_hash": definitions[topic.type].type_hash,
+                },
+                schema_id=schema_ids[topic.type],
+            )
+            for number, topic in enumerate(topics, start=1)
+        ]
+        self._metadata_index: list[MetadataIndex] = []
+        head = bytearray(MAGIC + pack(Header(profile="ros2", library=_LIBRARY)))
+        for name, values in metadata.items():
+            record = pack(Metadata(name=name, metadata=dict(values)))
+            self._metadata_index.append(MetadataIndex(len(head), len(record), name))
+            head += record
+        self.head = bytes(head + pack(*self._schemas, *self._channels))
+
+    def tail(self, written: Written, size: int, crc: int) -> bytes:
+        """Make all that follows the last chunk: end of data, summary, footer and magic.
+
+        `size` is of the file so far, in bytes, and `crc` its CRC-32.
+        """
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=written.counts,
+            chunk_count=written.chunks,
+            message_count=written.messages,
+            message_end_time=written.end_time,
+            message_start_time=written.start_time,
+            metadata_count=len(self._metadata_index),
+            schema_count=len(self._schemas),
+        )
+        end_of_data = pack(DataEnd(crc))
+        summary_start = size + len(end_of_data)
+        summary = bytearray()
+        offsets: list[SummaryOffset] = []
+        for opcode, group in (
+            (Opcode.SCHEMA, pack(*self._schemas)),
+            (Opcode.CHANNEL, pack(*self._channels)),
+            (Opcode.STATISTICS, pack(statistics)),
+            (Opcode.CHUNK_INDEX, written.chunk_index),
+            (Opcode.METADATA_INDEX, pack(*self._metadata_index)),
+        ):
+            if group:
+                offsets.append(SummaryOffset(opcode, summary_start + len(summary), len(group)))
+                summary += group
+        offsets_start = summary_start + len(summary)
+        summary += pack(*offsets)
+        # The summary's CRC covers the footer's own fields before the CRC, its last 4 bytes.
+        unsigned = pack(Footer(summary_start, offsets_start, 0))[:-4]
+        crc = zlib.crc32(unsigned, zlib.crc32(summary))
+        return end_of_data + summary + pack(Footer(summary_start, offsets_start, crc)) + MAGIC

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Claiming the directory that a run is recorded to, before anything starts."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from flock_sim.bag.rosbag2_metadata import METADATA_FILE
+from flock_sim.errors import FlockError
+
+
+def claim_output(path: str | Path, force: bool) -> None:
+    """Make `path` an empty directory, for `BagWriter` to fill; its parents are made too.
+
+    What exists is refused, unless `force` is set and it is an empty directory or a bag: a
+    directory without subdirectories that holds metadata.yaml or, where a run was cut short, one
+    .mcap file. Then its files are removed.
+
+    Raises FlockError when it is refused or can't be written; nothing has changed then.
+    """
+    output = Path(path)
+    try:
+        if output.exists():
+            if not force:
+                raise FlockError(
+                    f"output {output} exists: add --force to replace it, or name another --output"
+                )
+            _empty(output)
+        else:
+            _make(output)
+    except OSError as error:
+        raise FlockError(
+            f"output {output} can't be written ({error.strerror}): name another --output"
+        ) from error
+
+
+def _make(directory: Path) -> None:
+    missing = [parent for parent in directory.parents if not parent.exists()]
+    try:
+        directory.mkdir(parents=True)
+    except OSError:
+        for parent in missing:  # from the innermost outwards
+            with suppress(OSError):
+                parent.rmdir()
+        raise
+
+
+def _empty(directory: Path) -> None:
+    if not directory.is_dir():
+        raise FlockError(
+            f"output {directory} is not a directory, and --force replaces only a bag:"
+            " name another --output"
+        )
+    entries = list(directory.iterdir())
+    names = {entry.name for entry in entries}
+    recordings = sum(name.endswith(".mcap") for name in names)
+    is_bag = METADATA_FILE in names or recordings == 1
+    plain = all(entry.is_symlink() or entry.is_file() for entry in entries)
+    if entries and not (is_bag and plain):
+        raise FlockError(
+            f"output {directory} is not a bag (it holds other things), and --force replaces only"
+            " a bag: name another --output"
+        )
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise FlockError(
+            f"output {directory} can't be written (Permission denied): name another --output"
+        )
+    # metadata.yaml first: without it nobody takes what is left for a complete bag.
+    for entry in sorted(entries, key=lambda entry: entry.name != METADATA_FILE):
+        entry.unlink()

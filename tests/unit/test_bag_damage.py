@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that are cut off or damaged: what is whole is read, what is missing is told."""
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from flock_sim.bag.reader import BagReader
+from flock_sim.bag.topic import Topic
+from flock_sim.bag.writer import BagWriter
+from flock_sim.errors import FlockError
+
+TOPICS = [Topic(f"/flock/bird_{i:02d}/state", "std_msgs/msg/Header") for i in range(1, 4)]
+Row = tuple[str, int, bytes]
+
+
+def rows(count: int) -> list[Row]:
+    return [
+        (TOPICS[i % 3].name, 10 * (i // 3), b"%d " % i + bytes(range(i % 40))) for i in range(count)
+    ]
+
+
+def write_bag(directory: Path, messages: list[Row], every: int = 30) -> Path:
+    """A bag with a chunk for `every` messages; returns the file."""
+    with BagWriter(directory, TOPICS, {"flock": {"birds": "3"}}) as bag:
+        for number, (topic, time, data) in enumerate(messages, start=1):
+            bag.write(topic, time, data)
+            if number % every == 0:
+                bag.flush()
+    return bag.path
+
+
+def read(path: Path) -> tuple[list[Row], str | None]:
+    with BagReader(path) as bag:
+        return list(bag.messages()), bag.missing
+
+
+def chunk_ends(path: Path) -> list[int]:
+    """For each chunk, where it ends in the file (message indexes apart)."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
+
+
+def test_a_file_cut_off_anywhere_in_its_last_chunk_gives_every_whole_chunk(tmp_path: Path) -> None:
+    messages = rows(90)
+    path = write_bag(tmp_path / "bag", messages)
+    (path.parent / "metadata.yaml").unlink()
+    whole = path.read_bytes()
+    ends = chunk_ends(path)
+    summary = range(len(whole) - 1, ends[-1] + 500, -29)
+    for size in (*summary, *range(ends[-1] + 500, ends[-2] - 1, -1)):
+        os.truncate(path, size)
+        found, missing = read(path.parent)
+        assert found == messages[: 90 if size >= ends[-1] else 60]
+        assert missing is not None
+        assert "\n" not in missing
+        assert "metadata.yaml" in missing
+
+
+def test_a_file_cut_off_at_random_gives_every_whole_chunk_or_is_refused(tmp_path: Path) -> None:
+    messages = rows(900)
+    path = write_bag(tmp_path / "bag", messages)
+    ends = chunk_ends(path)
+    whole = path.read_bytes()
+    chance = random.Random(4)
+    for size in sorted((chance.randrange(8, len(whole)) for _ in range(300)), reverse=True):
+        os.truncate(path, size)
+        found, missing = read(path)
+        assert found == messages[: 30 * sum(end <= size for end in ends)]
+        assert missing is not None
+    for size in range(8):
+        os.truncate(path, size)
+        with pytest.raises(FlockError, match="empty file" if size == 0 else "not an MCAP file"):
+            BagReader(path)
+
+
+def test_a_torn_bag_still_has_its_configuration(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", rows(60))
+    os.truncate(path, chunk_ends(path)[0] - 1)
+    with BagReader(path) as bag:
+        assert bag.metadata("flock") == {"birds": "3"}
+        assert bag.topics == {topic.name: topic.type for topic in TOPICS}
+        assert bag.message_counts is None
+        assert bag.last_time is None
+
+
+def test_what_a_power_cut_left_unwritten_is_left_out(tmp_path: Path) -> None:
+    messages = rows(120)
+    path = write_bag(tmp_path / "bag", messages)
+    data = bytearray(path.read_bytes())
+    ends = chunk_ends(path)
+    for begin, end, chunks in ((ends[2] - 40, len(data), 2), (ends[1] + 3, ends[2] + 9, 2)):
+        hole = bytearray(data[: ends[-1]])
+        hole[begin : min(end, len(hole))] = bytes(min(end, len(hole)) - begin)
+        path.write_bytes(hole)
+        found, missing = read(path)
+        assert found == messages[: 30 * chunks]
+        assert missing is not None
+        assert "bytes of data are not whole" in missing
+
+
+def test_flipped_bytes_never_give_a_value_that_was_not_recorded(tmp_path: Path) -> None:
+    messages = [row for row in rows(60) if row[0] == TOPICS[0].name]
+    path = write_bag(tmp_path / "bag", messages, every=10)
+    sound = path.read_bytes()
+    recorded = set(messages)
+    for position in range(0, len(sound), 3):
+        data = bytearray(sound)
+        data[position] ^= 0x41
+        path.write_bytes(data)
+        try:
+            with BagReader(path) as bag:
+                if set(bag.topics) != {topic.name for topic in TOPICS}:
+                    assert bag.missing is not None  # names outside of any CRC, without a summary
+                    continue
+                found = list(bag.messages())
+        except FlockError:
+            continue
+        assert recorded.issuperset(found)
+        assert found == messages or bag.missing is not None
+
+
+def test_random_bytes_after_the_magic_are_no_crash(tmp_path: Path) -> None:
+    chance = random.Random(2)
+    path = tmp_path / "x.mcap"
+    for _ in range(300):
+        size = chance.randrange(200)
+        middle = bytes(chance.choice((0, 1, 2, 3, 4, 5, 6, 7, 8, 255)) for _ in range(size))
+        end = b"\x89MCAP0\r\n" if chance.random() < 0.5 else b""
+        path.write_bytes(b"\x89MCAP0\r\n" + middle + end)
+        with BagReader(path) as bag:
+            assert list(bag.messages()) == []
+
+
+def test_a_bag_without_metadata_yaml_is_read_and_told(tmp_path: Path) -> None:
+    messages = rows(60)
+    path = write_bag(tmp_path / "bag", messages)
+    (path.parent / "metadata.yaml").unlink()
+    found, missing = read(path.parent)
+    assert found == messages
+    assert (
+        missing == f"{path.parent} is not complete: no metadata.yaml (the recording was cut short)"
+    )
+
+
+def test_a_damaged_chunk_is_told_when_it_is_read(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", rows(90))
+    data = bytearray(path.read_bytes())
+    data[chunk_ends(path)[1] - 5] ^= 1
+    path.write_bytes(data)
+    with BagReader(path) as bag:
+        stream = bag.messages()
+        for _ in range(30):
+            next(stream)
+        with pytest.raises(FlockError, match=r"bag_0.mcap is damaged at byte \d+"):
+            next(stream)

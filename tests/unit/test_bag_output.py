@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `claim_output` takes, what it refuses, and that refusing changes nothing."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from flock_sim.bag.output import claim_output
+from flock_sim.errors import FlockError
+
+
+def tree(root: Path) -> dict[str, bytes | None]:
+    return {
+        str(path.relative_to(root)): path.read_bytes() if path.is_file() else None
+        for path in sorted(root.rglob("*"))
+    }
+
+
+def make_bag(directory: Path, *names: str) -> Path:
+    directory.mkdir(parents=True)
+    for name in names:
+        (directory / name).write_text(name)
+    return directory
+
+
+def test_a_new_output_is_made_with_its_parents(tmp_path: Path) -> None:
+    claim_output(tmp_path / "runs" / "today" / "one", force=False)
+    assert tree(tmp_path) == {"runs": None, "runs/today": None, "runs/today/one": None}
+
+
+@pytest.mark.parametrize("names", [(), ("metadata.yaml", "out_0.mcap"), ("thesis.tex",)])
+def test_what_exists_is_refused_without_force(tmp_path: Path, names: tuple[str, ...]) -> None:
+    output = make_bag(tmp_path / "out", *names)
+    before = tree(tmp_path)
+    with pytest.raises(FlockError, match=r"out exists: add --force .* or name another --output"):
+        claim_output(output, force=False)
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        (),
+        ("metadata.yaml", "out_0.mcap"),
+        ("metadata.yaml", "out_0.mcap", "formation.png"),
+        ("metadata.yaml", "out_0.mcap", "out_1.mcap"),
+        ("out_0.mcap", ".reserve"),
+        ("metadata.yaml",),
+    ],
+)
+def test_force_empties_a_bag(tmp_path: Path, names: tuple[str, ...]) -> None:
+    claim_output(make_bag(tmp_path / "out", *names), force=True)
+    assert tree(tmp_path) == {"out": None}
+
+
+@pytest.mark.parametrize(
+    "names", [("thesis.tex",), ("one.mcap", "two.mcap"), (".git",), ("notes.mcap.txt",)]
+)
+def test_force_refuses_a_directory_that_is_no_bag(tmp_path: Path, names: tuple[str, ...]) -> None:
+    output = make_bag(tmp_path / "out", *names)
+    before = tree(tmp_path)
+    with pytest.raises(FlockError, match="out is not a bag"):
+        claim_output(output, force=True)
+    assert tree(tmp_path) == before
+
+
+def test_force_refuses_a_bag_with_directories_in_it(tmp_path: Path) -> None:
+    output = make_bag(tmp_path / "out", "metadata.yaml", "out_0.mcap")
+    make_bag(output / "chapters", "one.tex")
+    before = tree(tmp_path)
+    with pytest.raises(FlockError, match="out is not a bag"):
+        claim_output(output, force=True)
+    assert tree(tmp_path) == before
+
+
+def test_force_refuses_a_file(tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    output.write_text("dear")
+    with pytest.raises(FlockError, match="not a directory"):
+        claim_output(output, force=True)
+    assert output.read_text() == "dear"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_an_output_below_a_file_is_refused(tmp_path: Path, force: bool) -> None:
+    (tmp_path / "file").write_text("dear")
+    with pytest.raises(FlockError, match="can't be written"):
+        claim_output(tmp_path / "file" / "out", force)
+    assert tree(tmp_path) == {"file": b"dear"}
+
+
+def test_an_output_that_fails_halfway_leaves_no_parents(tmp_path: Path) -> None:
+    with pytest.raises(FlockError, match="File name too long"):
+        claim_output(tmp_path / "a" / "b" / ("x" * 300), force=False)
+    assert tree(tmp_path) == {}
+
+
+def test_an_output_without_permission_is_refused(tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    locked = make_bag(tmp_path / "locked")
+    empty = make_bag(locked / "empty")
+    for directory in (empty, locked):
+        directory.chmod(0o555)
+    try:
+        for output, force in ((locked / "new", False), (empty, True)):
+            with pytest.raises(FlockError, match=r"Permission denied.*name another --output"):
+                claim_output(output, force)
+    finally:
+        locked.chmod(0o755)
