@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The processes of a composed flight: started together, watched, and never left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+
+from flock_sim.errors import RunFailed
+from flock_sim.shared_memory import remove_orphans
+
+SUPERVISED = "FLOCK_SUPERVISED"
+"""Set in the environment of the processes of a crew, which leave Ctrl-C to their parent."""
+
+GRACE = 3.0
+"""Time, in s, that a process has to end in order before it is killed."""
+
+
+@dataclass
+class _Hand:
+    who: str
+    process: subprocess.Popen[bytes]
+
+
+class Crew:
+    """A group of node processes; leaving the context ends those that still run."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        """Give `arguments`, ROS arguments, to every process."""
+        self._arguments = arguments
+        self._hands: list[_Hand] = []
+
+    def start(self, who: str, module: str, parameters: Mapping[str, object]) -> None:
+        """Start `module` with ROS `parameters`; `who` is what it is called in messages."""
+        command = [sys.executable, "-P", "-m", module, "--ros-args", *self._arguments]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={value}"]
+        environment = {**os.environ, SUPERVISED: "1"}
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
+        self._hands.append(_Hand(who, process))
+
+    def check(self) -> None:
+        """Raise RunFailed if a process ended otherwise than well."""
+        for hand in self._hands:
+            status = hand.process.poll()
+            if status:
+                raise RunFailed(f"{hand.who} {_ended(status)}")
+
+    def join(self, timeout: float) -> None:
+        """Wait until all have ended well; raise RunFailed after `timeout` s."""
+        deadline = time.monotonic() + timeout
+        while any(hand.process.poll() is None for hand in self._hands):
+            self.check()
+            if time.monotonic() > deadline:
+                running = [hand.who for hand in self._hands if hand.process.poll() is None]
+                raise RunFailed(
+                    f"{' and '.join(running)} did not end within {timeout:g} s of the flight's end"
+                )
+            time.sleep(0.005)  # a poll of processes, which nothing announces
+        self.check()
+
+    def stop(self) -> None:
+        """End every process that runs: in order if it can be, by force after GRACE."""
+        running = [hand.process for hand in self._hands if hand.process.poll() is None]
+        for process in running:
+            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.SIGCONT)
+        deadline = time.monotonic() + GRACE
+        for process in running:
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        remove_orphans()
+
+    def __enter__(self) -> Crew:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+def _ended(status: int) -> str:
+    if status > 0:
+        return f"ended with status {status}"
+    return f"was killed by {signal.Signals(-status).name}"

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The composed launcher: a whole flock over ROS 2 with one command."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from flock_sim import configuration_file
+from flock_sim.bag.output import claim_output
+from flock_sim.command_line import (
+    Parser,
+    add_flock_options,
+    flock_configuration,
+    note,
+    positive_number,
+    run_tool,
+    whole_number,
+)
+from flock_sim.core import topics
+from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.timekeeper import Timekeeper, new_run_id
+from flock_sim.crew import Crew
+from flock_sim.errors import FlockError
+from flock_sim.progress import progress_bar
+from flock_sim.report import add_output_options, output_directory, report
+
+EXECUTORS = ("events", "single")
+
+PATIENCE_OF_CREW = 30.0
+"""How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
+
+EXAMPLES = """\
+  flock fly                                         thirteen geese to their steady state
+  flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
+  flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
+  flock fly --config flock.yaml --output runs/mine --force"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A flight: what is flown, and how."""
+
+    configuration: FlockConfiguration
+    output: Path | None
+    processes: int
+    window: int
+    executor: str
+    timeout: float
+    record_stages: bool
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Fly a flock over ROS 2, record it, and say what came of it."""
+    options = _parser().parse_args(arguments)
+    plan = _plan(options)
+    signal.signal(signal.SIGTERM, _terminated)
+    if plan.output is not None:
+        claim_output(plan.output, options.force)
+        note(f"recording to {plan.output}")
+    begun = time.monotonic()
+    steps_per_second = _fly(plan)
+    flight = {
+        "steps_per_second": steps_per_second,
+        "wall_seconds": time.monotonic() - begun,
+        "output": None if plan.output is None else str(plan.output),
+    }
+    report(flight, plan.configuration, options.json)
+    return 0
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        "fly", "Fly a flock over ROS 2: every bird a node, recorded as a bag.", EXAMPLES
+    )
+    add_flock_options(parser)
+    add_output_options(parser)
+    how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
+    how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
+    how.add_argument(
+        "--window", metavar="W", default="64", help="steps granted ahead; 1 is strict lockstep (64)"
+    )
+    how.add_argument(
+        "--executor", metavar="|".join(EXECUTORS), default=EXECUTORS[0], help="of rclpy (events)"
+    )
+    how.add_argument(
+        "--timeout",
+        metavar="S",
+        default="60",
+        help="longest standstill before giving up, in s (60)",
+    )
+    how.add_argument("--record-stages", action="store_true", help="record RK4 stages too")
+    how.add_argument("--no-record", action="store_true", help="fly without a bag")
+    return parser
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    configuration = flock_configuration(options)
+    if options.executor not in EXECUTORS:
+        raise FlockError(f"--executor {options.executor}: {nearest(options.executor, EXECUTORS)}")
+    if options.no_record and options.record_stages:
+        raise FlockError("--record-stages and --no-record exclude each other: leave one out")
+    return Plan(
+        configuration,
+        None if options.no_record else output_directory(options, "fly"),
+        whole_number("--processes", options.processes, 1, configuration.birds),
+        whole_number("--window", options.window, 1),
+        options.executor,
+        positive_number("--timeout", options.timeout),
+        options.record_stages,
+    )
+
+
+def _fly(plan: Plan) -> float:
+    """Fly `plan` to its end; return the steps per second from the first step to the last."""
+    configuration = plan.configuration
+    run_id = new_run_id()
+    with tempfile.TemporaryDirectory(prefix="flock-") as directory:
+        parameters = Path(directory) / "flock.yaml"
+        parameters.write_text(configuration_file.text(configuration), encoding="utf-8")
+        common = {
+            "run_id": run_id,
+            "executor": plan.executor,
+            "timeout": plan.timeout + PATIENCE_OF_CREW,
+        }
+        with Crew(["--params-file", str(parameters), "--disable-external-lib-logs"]) as crew:
+            if plan.output is not None:
+                stages = {"record_stages": str(plan.record_stages).lower()}
+                output = {"output": plan.output.absolute()}
+                crew.start(
+                    "the recorder", "flock_sim.nodes.recorder", {**common, **output, **stages}
+                )
+            for birds in _shares(configuration.birds, plan.processes):
+                crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
+            return _keep_time(plan, run_id, crew)
+
+
+def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
+    """Be the clock of the flight; return its steps per second."""
+    # Imported here, while the others are starting: it takes as long for us as for them.
+    import rclpy
+
+    from flock_sim.nodes.clock import ClockNode, keep_time
+    from flock_sim.nodes.process import executing, ros_context
+
+    configuration = plan.configuration
+    keeper = Timekeeper(
+        configuration, run_id, plan.window, plan.output is not None, plan.record_stages
+    )
+    begun: list[float] = []
+
+    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    try:
+        with (
+            executing(plan.executor, context) as executor,
+            progress_bar("flying", configuration) as show,
+        ):
+
+            def watch() -> None:
+                if keeper.step >= 0 and not begun:
+                    begun.append(time.monotonic())
+                show(keeper.step)
+                crew.check()
+
+            depth = topics.depth(topics.CLOCK_TOPIC, configuration)
+            clock = ClockNode(keeper, depth, context=context)
+            executor.add_node(clock)
+            keep_time(clock, executor, plan.timeout, watch)
+            ended = time.monotonic()
+            watch()
+            crew.join(plan.timeout)
+    finally:
+        rclpy.try_shutdown(context=context)
+    return configuration.steps / max(ended - begun[0], 1e-9)
+
+
+def _shares(birds: int, processes: int) -> list[list[int]]:
+    """Return the birds of each process: neighbours together, as even as can be."""
+    bounds = [k * birds // processes for k in range(processes + 1)]
+    return [list(range(low + 1, high + 1)) for low, high in itertools.pairwise(bounds)]
+
+
+def _birds(birds: list[int]) -> str:
+    return (
+        f"bird {birds[0]}" if len(birds) == 1 else f"the process of birds {birds[0]}..{birds[-1]}"
+    )
+
+
+def _terminated(signum: int, frame: object) -> NoReturn:
+    """End in order when somebody ends us: as with Ctrl-C, but with the status that they expect."""
+    sys.exit(128 + signum)
+
+
+def main() -> int:
+    """Run the `fly` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

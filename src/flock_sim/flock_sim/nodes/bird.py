@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bird as a ROS 2 node, and the process of one bird or of several."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from rclpy.context import Context
+from rclpy.duration import Duration
+
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
+from flock_sim.command_line import note
+from flock_sim.core import messages, topics
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.nodes.drain import fly
+from flock_sim.nodes.endpoints import DrainedNode, latched
+from flock_sim.nodes.process import Process, executing, run_node
+
+
+class BirdNode(DrainedNode):
+    """A bird: moves messages between its protocol and its topics, and nothing else."""
+
+    def __init__(
+        self,
+        bird: int,
+        configuration: FlockConfiguration,
+        run_id: int = 0,
+        *,
+        context: Context | None = None,
+        services: bool = False,
+    ) -> None:
+        """Put bird 1..N on its topics; `services`: with rosout and those for parameters."""
+        super().__init__(
+            topics.bird_name(bird),
+            namespace=topics.NAMESPACE,
+            context=context,
+            start_parameter_services=services,
+            enable_rosout=services,
+        )
+        self.protocol = BirdProtocol(bird, configuration, run_id)
+        outlets = {
+            Channel.WING: (BirdWing, topics.wing_topic(bird)),
+            Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
+            Channel.STATE: (BirdState, topics.state_topic(bird)),
+            Channel.PROGRESS: (Progress, topics.PROGRESS_TOPIC),
+        }
+        self._outlets = {
+            channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
+            for channel, (kind, topic) in outlets.items()
+        }
+        self._publish: dict[Channel, Callable[[bytes], None]] = {
+            channel: outlet.publish for channel, outlet in self._outlets.items()
+        }
+        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC, 1)
+        self._wings = {
+            other: self.subscribe_drained(BirdWing, topics.wing_topic(other), 1)
+            for other in self.protocol.neighbours
+        }
+        self._stages = {
+            other: self.subscribe_drained(BirdStage, topics.stage_topic(other), topics.STAGE_DEPTH)
+            for other in self.protocol.neighbours
+        }
+
+    def drain(self) -> bool:
+        """Take the stages that the protocol waits for; return whether any came."""
+        protocol = self.protocol
+        moved = False
+        for other in tuple(protocol.missing):
+            data = self._stages[other].take()
+            if data is not None:
+                moved = True
+                self._send(protocol.receive_stage(data))
+        return moved
+
+    def drain_rare(self) -> bool:
+        """Take leave and, before the flight, wings; return whether any came."""
+        moved = False
+        data = self._grants.take()
+        if data is not None:
+            moved = True
+            self._send(self.protocol.receive_grant(messages.Grant.decode(data)))
+        if not self.protocol.in_flight:
+            for inlet in self._wings.values():
+                data = inlet.take()
+                if data is not None:
+                    moved = True
+                    self._send(self.protocol.receive_wing(messages.Wing.decode(data)))
+        return moved
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight is over for this bird."""
+        return self.protocol.finished
+
+    @property
+    def waiting_for(self) -> str:
+        """What the bird needs to go on, in words."""
+        return f"{self.get_name()} waits for {self.protocol.waiting_for}"
+
+    def farewell(self, timeout: float) -> None:
+        """Wait until everybody who listens has all that was said. Raises RunFailed otherwise."""
+        for channel, outlet in self._outlets.items():
+            if not outlet.wait_for_all_acked(Duration(seconds=timeout)):
+                raise RunFailed(
+                    f"{self.get_name()}: after {timeout:g} s somebody still lacks its last "
+                    f"{channel.value} message; raise `timeout` if the network is slow"
+                )
+
+    def _send(self, outgoing: list[Outgoing]) -> None:
+        for channel, data in outgoing:
+            self._publish[channel](data)
+
+
+def work(process: Process) -> None:
+    """Fly the birds that the parameters name."""
+    configuration, operation = process.configuration, process.operation
+    indices = operation["indices"] or [operation["index"]]
+    for index in indices:
+        if not 1 <= index <= configuration.birds:
+            raise FlockError(
+                f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
+            )
+    with executing(operation["executor"], process.context) as executor:
+        birds = [
+            BirdNode(
+                index,
+                configuration,
+                operation["run_id"],
+                context=process.context,
+                services=len(indices) == 1,
+            )
+            for index in indices
+        ]
+        for bird in birds:
+            executor.add_node(bird)
+        say = (lambda line: None) if process.supervised else note
+        fly(birds, executor, process.stop, operation["timeout"], say)
+        if not process.stop:
+            for bird in birds:
+                bird.farewell(operation["timeout"])
+
+
+_main = run_node(
+    "bird",
+    "One bird as a ROS 2 node. It flies as soon as its neighbours and the clock are there.\n\n"
+    "parameters: index (1..N), run_id, timeout (s without news), executor (events|single), and\n"
+    "all keys of the configuration file.",
+    "  flock bird --ros-args -p index:=3 --params-file flock.yaml\n"
+    "  ros2 run flock_sim bird --ros-args -p index:=1 -p birds:=3 -p t_max:=100.0",
+    work,
+)
+
+
+def main() -> int:
+    """Run the `bird` executable."""
+    return _main(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

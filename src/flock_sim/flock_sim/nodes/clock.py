@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clock as a ROS 2 node: it keeps the flock together and tells the simulated time."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from flock_interfaces.msg import Grant, Progress
+from flock_sim.command_line import note
+from flock_sim.core import messages, topics
+from flock_sim.core.timekeeper import Timekeeper, new_run_id
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.nodes.endpoints import latched
+from flock_sim.nodes.process import Process, executing, run_node
+
+SAY_AFTER = 5.0
+"""Standstill, in s, after which the clock says whom it waits for."""
+
+WAIT = 0.05
+"""How long the clock waits for news at a time, in s."""
+
+
+class ClockNode(Node):
+    """The clock: moves messages between a Timekeeper and the topics."""
+
+    def __init__(self, keeper: Timekeeper, depth: int, *, context: Context | None = None) -> None:
+        """Begin the run of `keeper`; `depth` is that of the queue of /clock."""
+        super().__init__("clock", namespace=topics.NAMESPACE, context=context)
+        self.keeper = keeper
+        self._outlets = {
+            messages.Grant: self.create_publisher(
+                Grant, topics.GRANT_TOPIC, latched(topics.GRANT_DEPTH)
+            ),
+            messages.Time: self.create_publisher(Clock, topics.CLOCK_TOPIC, latched(depth)),
+        }
+        self.create_subscription(
+            Progress, topics.PROGRESS_TOPIC, self._hear, latched(1000), raw=True
+        )
+        self._send(keeper.first_grant)
+
+    def farewell(self, timeout: float) -> None:
+        """Wait until everybody who listens has the last leave and time."""
+        for outlet in self._outlets.values():
+            outlet.wait_for_all_acked(Duration(seconds=timeout))
+
+    def _hear(self, data: bytes) -> None:
+        for message in self.keeper.receive(messages.Progress.decode(data)):
+            self._send(message)
+
+    def _send(self, message: messages.Grant | messages.Time) -> None:
+        self._outlets[type(message)].publish(message.encode())
+
+
+def keep_time(
+    clock: ClockNode,
+    executor: Executor,
+    timeout: float,
+    watch: Callable[[], object],
+) -> None:
+    """Serve `clock` until its run is finished or `watch`, called at least every WAIT, is true.
+
+    Says who is waited for when the flock stands
+    still, and raises RunFailed where it did for `timeout` s.
+    """
+    keeper = clock.keeper
+    moved = time.monotonic()
+    last: tuple[int, ...] = ()
+    said: list[str] = []
+    while not keeper.finished and not watch():
+        executor.spin_once(timeout_sec=WAIT)
+        state = keeper.state
+        if state != last:
+            moved, last, said = time.monotonic(), state, []
+            continue
+        silence = time.monotonic() - moved
+        if silence < SAY_AFTER:
+            continue
+        waits = f"waiting for {listing(keeper.waiting_for)} ({keeper.stage_of_run})"
+        if silence > timeout:
+            raise RunFailed(
+                f"no progress for {timeout:g} s, {waits}: start what is missing, or raise --timeout"
+            )
+        if said != keeper.waiting_for:
+            said = keeper.waiting_for
+            note(f"{waits}, for {timeout - silence:.0f} s more")
+
+
+def listing(names: list[str], most: int = 8) -> str:
+    """Return names for a sentence, the first `most` of them."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def work(process: Process) -> None:
+    """Be the clock of one run."""
+    operation = process.operation
+    if operation["window"] < 1:
+        raise FlockError(f"window = {operation['window']}: must be 1 or more")
+    keeper = Timekeeper(
+        process.configuration,
+        operation["run_id"] or new_run_id(),
+        operation["window"],
+        operation["record"],
+        operation["record_stages"],
+    )
+    with executing(operation["executor"], process.context) as executor:
+        depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
+        clock = ClockNode(keeper, depth, context=process.context)
+        executor.add_node(clock)
+        keep_time(clock, executor, operation["timeout"], lambda: process.stop)
+        if not process.stop:
+            clock.farewell(operation["timeout"])
+
+
+_main = run_node(
+    "clock",
+    "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are there,\n"
+    "grants steps, tells the simulated time, and ends with the flight.\n\n"
+    "parameters: window (64; 1 is lockstep), record (true: wait for a recorder), record_stages,\n"
+    "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"
+    "configuration file.",
+    "  flock clock --ros-args --params-file flock.yaml\n"
+    "  flock clock --timeout 20 --ros-args -p birds:=3 -p record:=false",
+    work,
+)
+
+
+def main() -> int:
+    """Run the `clock` executable."""
+    return _main(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How nodes reach topics: quality of service, and subscriptions that are drained by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+
+def latched(depth: int) -> QoSProfile:
+    """Return a reliable profile whose last `depth` messages also reach those who come later.
+
+    All of Flock's topics are of this kind: nobody has to be up before anybody else.
+    """
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+    )
+
+
+class DrainedNode(Node):
+    """A node some of whose subscriptions no executor serves: it takes their messages itself.
+
+    An executor spends several times longer on a message than the message takes to be read; where
+    messages come in thousands a second, the node looks for them itself and leaves the rest
+    (waiting, parameters, services, rare topics) to the executor.
+    """
+
+    _drained: tuple[Subscription, ...] = ()
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions that an executor is to serve."""
+        return (s for s in super().subscriptions if s not in self._drained)
+
+    def subscribe_drained(self, message_type: Any, topic: str, depth: int) -> Inlet:
+        """Subscribe to `topic`; the messages wait in the returned inlet."""
+        subscription = self.create_subscription(
+            message_type, topic, lambda _: None, latched(depth), raw=True
+        )
+        self._drained += (subscription,)
+        return Inlet(subscription)
+
+
+class Inlet:
+    """Where the messages of one drained subscription wait."""
+
+    def __init__(self, subscription: Subscription) -> None:
+        """Take from `subscription`."""
+        self._take = subscription.handle.take_message
+        self._type = subscription.msg_type
+
+    def take(self) -> bytes | None:
+        """Return the next message as CDR, or None; never waits."""
+        taken = self._take(self._type, True)
+        return None if taken is None else taken[0]

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shell of a node process: arguments, parameters, signals, executor and exit status."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from flock_sim.command_line import Parser, note, positive_number, run_tool
+from flock_sim.core.configuration import MEANING, FlockConfiguration, nearest
+from flock_sim.crew import SUPERVISED
+from flock_sim.errors import FlockError
+from flock_sim.shared_memory import remove_orphans
+
+# How a node operates, as opposed to what is flown: any of the nodes may be given any of these.
+EXECUTORS = ("events", "single")
+
+OPERATION: dict[str, Any] = {
+    "index": 0,
+    "indices": [],
+    "run_id": 0,
+    "window": 64,
+    "record": True,
+    "record_stages": False,
+    "output": "",
+    "force": False,
+    "executor": "events",
+    "timeout": 600.0,
+}
+
+# What every ROS 2 node may be given, and Flock has no use for.
+OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+PR_SET_PDEATHSIG = 1
+
+
+class Stop:
+    """Whether somebody wants this process to end: Ctrl-C, or a polite kill.
+
+    A flag rather than an exception, so that nothing is cut off half way; the loops of the nodes
+    look at it. The ROS context stays valid, so that what is on its way can still be sent.
+    """
+
+    def __init__(self, heed_interrupt: bool) -> None:
+        """Listen to SIGTERM and, with `heed_interrupt`, to SIGINT."""
+        self.signal = 0
+        for number in (signal.SIGTERM, *((signal.SIGINT,) if heed_interrupt else ())):
+            signal.signal(number, self._hear)
+
+    def __bool__(self) -> bool:
+        return self.signal != 0
+
+    @property
+    def exit_status(self) -> int:
+        """What a shell expects of a process that ended for this reason; 0 without one."""
+        return 128 + self.signal if self else 0
+
+    def _hear(self, number: int, frame: object) -> None:
+        self.signal = number
+
+
+@dataclass(frozen=True)
+class Process:
+    """What a node process was asked to do, and the ROS context that it does it in."""
+
+    configuration: FlockConfiguration
+    operation: Mapping[str, Any]
+    context: Context
+    stop: Stop
+    supervised: bool
+
+
+@contextmanager
+def executing(kind: str, context: Context) -> Iterator[Executor]:
+    """Give an executor of the `kind` asked for; its nodes are destroyed at the end."""
+    executor = make_executor(kind, context)
+    try:
+        yield executor
+    finally:
+        for node in list(executor.get_nodes()):
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+
+
+def make_executor(kind: str, context: Context) -> Executor:
+    """Return an executor: "events" (where rclpy has it) or "single". Raises FlockError."""
+    if kind not in EXECUTORS:
+        raise FlockError(f"executor {kind!r}: {nearest(kind, EXECUTORS)}")
+    if kind == "events":
+        try:
+            from rclpy.experimental import EventsExecutor
+        except ImportError:
+            note("note: this rclpy has no events executor; the single-threaded one serves")
+        else:
+            return EventsExecutor(context=context)
+    return SingleThreadedExecutor(context=context)
+
+
+def ros_context(arguments: Sequence[str]) -> Context:
+    """Return an initialised ROS context that leaves signals to us.
+
+    Unless the environment says otherwise, others are looked for on this machine only.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = Context()
+    rclpy.init(
+        args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
+    )
+    return context
+
+
+def run_node(
+    name: str, description: str, examples: str, work: Callable[[Process], None]
+) -> Callable[[Sequence[str] | None], int]:
+    """Return the `main` of a node executable that does `work` and exits with its status."""
+
+    def tool(arguments: Sequence[str]) -> int:
+        parser = Parser(f"{name} --ros-args", description, examples)
+        parser.prog = f"flock {name}"
+        parser.usage = (
+            f"flock {name} [-h] [--timeout S] --ros-args [-p KEY:=VALUE]... [--params-file FILE]"
+        )
+        parser.add_argument("--timeout", metavar="S", help="the parameter `timeout`, in s")
+        options = parser.parse_args(remove_ros_args([name, *arguments])[1:])
+        supervised = SUPERVISED in os.environ
+        stop = Stop(heed_interrupt=not supervised)
+        if supervised:
+            _follow_parent()
+        context = ros_context(arguments)
+        try:
+            configuration, operation = _parameters(name, context)
+            if options.timeout is not None:
+                operation["timeout"] = positive_number("--timeout", options.timeout)
+            work(Process(configuration, operation, context, stop, supervised))
+        finally:
+            rclpy.try_shutdown(context=context)
+            remove_orphans()
+        return stop.exit_status
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        return run_tool(tool, arguments)
+
+    return main
+
+
+def _follow_parent() -> None:
+    """Leave Ctrl-C to the parent, which ends the flight in order, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() == 1:
+            raise FlockError("the process that started this one is gone; start the flight again")
+
+
+def _parameters(name: str, context: Context) -> tuple[FlockConfiguration, dict[str, Any]]:
+    """Return what was flown and how, from the ROS parameters given to this process.
+
+    They are read by a node of their own, before the real one: its name depends on them.
+    """
+    reader = Node(
+        f"{name}_parameters",
+        namespace="/flock",
+        context=context,
+        start_parameter_services=False,
+        enable_rosout=False,
+        automatically_declare_parameters_from_overrides=True,
+    )
+    given = {key: p.value for key, p in reader.get_parameters_by_prefix("").items()}
+    reader.destroy_node()
+    operation = dict(OPERATION)
+    flown = {}
+    for key, value in given.items():
+        if key in OPERATION:
+            operation[key] = _like(key, value, OPERATION[key])
+        elif key.partition(".")[0] not in OF_ROS:
+            if key not in MEANING:
+                raise FlockError(
+                    f"unknown parameter {key!r}: {nearest(key, [*MEANING, *OPERATION])}"
+                )
+            flown[key] = value
+    return FlockConfiguration.from_parameters(flown), operation
+
+
+def _like(key: str, value: Any, default: Any) -> Any:
+    """Return `value` if it is of the type of `default`; a whole number may stand for a real one."""
+    if isinstance(default, list):
+        return list(value)
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not type(default):
+        raise FlockError(
+            f"{key} = {value!r}: must be a {type(default).__name__} such as {default!r}"
+        )
+    return value

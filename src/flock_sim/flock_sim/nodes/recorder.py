@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder as a ROS 2 node: puts every recorded state on disk, and says how far it has come."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rosgraph_msgs.msg import Clock
+
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
+from flock_sim.bag.output import claim_output
+from flock_sim.command_line import note
+from flock_sim.core import messages, topics
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.ledger import Ledger, Row
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.nodes.endpoints import DrainedNode, Inlet, latched
+from flock_sim.nodes.process import Process, Stop, executing, run_node
+from flock_sim.recording import Recording, recording
+
+WAIT = 0.004
+"""How long the recorder rests when nothing came, in s: many messages are cheaper at a time."""
+
+LINGER = 0.5
+"""How long, in s, a row that is complete may stay off the disk when no others follow."""
+
+SAY_AFTER = 5.0
+
+
+class RecorderNode(DrainedNode):
+    """The recorder: moves messages from the topics through a ledger into the bag."""
+
+    def __init__(
+        self,
+        configuration: FlockConfiguration,
+        run: Recording,
+        run_id: int,
+        record_stages: bool,
+        *,
+        context: Context | None = None,
+    ) -> None:
+        """Listen to a flock of `configuration`; `run_id` 0: that of the first grant heard."""
+        super().__init__(
+            topics.RECORDER,
+            namespace=topics.NAMESPACE,
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.ledger = Ledger(configuration, record_stages)
+        self._run = run
+        self._run_id = run_id
+        self._epoch = 0
+        self._joined = False
+        self._unsafe_since: float | None = None
+        self._rows = 0
+        self._rows_at_once = max(
+            1, topics.steps_ahead(configuration, record_stages) // configuration.record_every // 4
+        )
+        self._progress = self.create_publisher(Progress, topics.PROGRESS_TOPIC, latched(1))
+        self._grants = self._inlet(Grant, topics.GRANT_TOPIC, configuration)
+        self._times = self._inlet(Clock, topics.CLOCK_TOPIC, configuration)
+        birds = range(1, configuration.birds + 1)
+        sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
+            (BirdWing, topics.wing_topic, self.ledger.add_wing),
+            (BirdState, topics.state_topic, self.ledger.add_state),
+        ]
+        if record_stages:
+            sources.append((BirdStage, topics.stage_topic, self.ledger.add_stage))
+        self._sources = [
+            (self._inlet(kind, topic(bird), configuration), add, bird)
+            for kind, topic, add in sources
+            for bird in birds
+        ]
+
+    def drain(self) -> bool:
+        """Take everything that has come; return whether anything had."""
+        moved = False
+        while (data := self._grants.take()) is not None:
+            moved = True
+            self._hear_grant(data)
+        for inlet, add, bird in self._sources:
+            while (data := inlet.take()) is not None:
+                moved = True
+                self._write(add(bird, data))
+        while (data := self._times.take()) is not None:
+            moved = True
+            self._write(self.ledger.add_time(data))
+        return moved
+
+    def keep_safe(self) -> None:
+        """Put on disk what has waited long enough, or is enough, and say so."""
+        if self._unsafe_since is None:
+            return
+        waited = time.monotonic() - self._unsafe_since
+        if self.ledger.complete or self._rows >= self._rows_at_once or waited > LINGER:
+            self._run.bag.flush()
+            self._unsafe_since, self._rows = None, 0
+            self._tell(self.ledger.saved)
+
+    def farewell(self, timeout: float) -> None:
+        """Wait until the clock has heard that all is on disk."""
+        self._progress.wait_for_all_acked(Duration(seconds=timeout))
+
+    @property
+    def waiting_for(self) -> str:
+        """What the recorder needs to go on, in words."""
+        if not self._joined:
+            return "the clock's first grant"
+        names = [topics.bird_name(bird) for bird in self.ledger.waiting_for]
+        return ", ".join(names) or "the clock"
+
+    def _inlet(self, kind: type, topic: str, configuration: FlockConfiguration) -> Inlet:
+        return self.subscribe_drained(kind, topic, topics.depth(topic, configuration))
+
+    def _hear_grant(self, data: bytes) -> None:
+        grant = messages.Grant.decode(data)
+        if self._run_id not in (0, grant.run_id):
+            return
+        if not self._joined:
+            self._joined = True
+            self._run_id, self._epoch = grant.run_id, grant.epoch
+            self._tell(self.ledger.saved)
+        self._run.write_grant(data)
+
+    def _write(self, rows: list[Row]) -> None:
+        for row in rows:
+            self._run.write_row(row)
+            self._rows += 1
+            if self._unsafe_since is None:
+                self._unsafe_since = time.monotonic()
+
+    def _tell(self, step: int) -> None:
+        progress = messages.Progress(self._run_id, step, self._epoch, topics.RECORDER)
+        self._progress.publish(progress.encode())
+
+
+def record(
+    node: RecorderNode,
+    executor: Executor,
+    stop: Stop,
+    timeout: float,
+    say: Callable[[str], None],
+) -> None:
+    """Record until every row is on disk. Returns early on `stop`.
+
+    Raises RunFailed where nothing came for `timeout` s, or the bag can't be written.
+    """
+    heard, said = time.monotonic(), False
+    while not stop:
+        moved = node.drain()
+        node.keep_safe()
+        if moved:
+            heard, said = time.monotonic(), False
+            if node.ledger.complete:
+                return
+            continue
+        executor.spin_once(timeout_sec=WAIT)
+        silence = time.monotonic() - heard
+        if silence > timeout:
+            raise RunFailed(
+                f"the recorder has waited {silence:.0f} s for {node.waiting_for}: "
+                "start what is missing, or raise `timeout`"
+            )
+        if silence > SAY_AFTER and not said:
+            said = True
+            say(f"the recorder has waited {silence:.0f} s for {node.waiting_for}")
+
+
+def work(process: Process) -> None:
+    """Record one flight."""
+    configuration, operation = process.configuration, process.operation
+    if not operation["output"]:
+        raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
+    output = Path(operation["output"])
+    if not process.supervised:  # `fly` has claimed it before anything started
+        claim_output(output, operation["force"])
+    stages = operation["record_stages"]
+    with (
+        recording(output, configuration, grants=True, stages=stages) as run,
+        executing(operation["executor"], process.context) as executor,
+    ):
+        node = RecorderNode(
+            configuration, run, operation["run_id"], stages, context=process.context
+        )
+        executor.add_node(node)
+        say = (lambda line: None) if process.supervised else note
+        record(node, executor, process.stop, operation["timeout"], say)
+        if not process.stop:
+            node.farewell(operation["timeout"])
+
+
+_main = run_node(
+    "recorder",
+    "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
+    "with it.\n\n"
+    "parameters: output (a directory), force (replace it), record_stages, run_id, timeout (s\n"
+    "without news), executor (events|single), and all keys of the configuration file.",
+    "  flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml",
+    work,
+)
+
+
+def main() -> int:
+    """Run the `recorder` executable."""
+    return _main(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

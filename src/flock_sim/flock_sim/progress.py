@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a long computation has come, on a terminal; nothing elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from flock_sim.core.configuration import FlockConfiguration
+
+
+@contextmanager
+def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Callable[[int], None]]:
+    """Give a function that takes the step reached; shows it, simulated time, rate and time left."""
+    if not sys.stderr.isatty():
+        yield lambda step: None
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TaskProgressColumn(),
+        TextColumn("step {task.completed:.0f}/{task.total:.0f}  t = {task.fields[time]:.6g}"),
+        TextColumn("{task.fields[rate]:.0f} steps/s"),
+        TimeRemainingColumn(compact=True),
+    )
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
+        task = bar.add_task(what, total=configuration.steps, time=0.0, rate=0.0)
+        begun: list[tuple[float, int]] = []
+
+        def show(step: int) -> None:
+            if step > 0 and not begun:
+                begun.append((time.monotonic(), step))
+            rate = 0.0
+            if begun and step > begun[0][1]:
+                rate = (step - begun[0][1]) / (time.monotonic() - begun[0][0])
+            reached = max(step, 0)
+            bar.update(task, completed=reached, time=configuration.time(reached), rate=rate)
+
+        yield show

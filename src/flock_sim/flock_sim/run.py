@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded flight, read back from its bag row by row."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from flock_sim.bag.reader import BagReader
+from flock_sim.core import messages, topics
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import Metrics, measure
+from flock_sim.errors import FlockError
+from flock_sim.recording import CONFIGURATION_RECORD, configuration_of
+
+ARRAYS = ("position", "speed", "circulation", "interaction_drag")
+"""The fields of a state that have one value a member, in the order of the message."""
+
+Message = TypeVar("Message", bound=messages.Message)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The whole flock at one recorded step; arrays of shape (birds, members), dimensionless."""
+
+    step: int
+    time: float
+    position: FloatArray
+    speed: FloatArray
+    circulation: FloatArray
+    interaction_drag: FloatArray
+
+
+class Run:
+    """A bag of Flock's.
+
+    `configuration` is what was flown; `missing` is None, or one line on what the bag lacks; `bag`
+    gives the messages themselves.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open the bag at `path`. Raises FlockError if it is missing, empty or foreign."""
+        self.path = Path(path)
+        self.bag = BagReader(self.path)
+        self.missing = self.bag.missing
+        try:
+            self.configuration = configuration_of(self.bag.metadata(CONFIGURATION_RECORD))
+        except (KeyError, ValueError, FlockError) as error:
+            raise FlockError(
+                f"{self.path}: not a bag of Flock's (no configuration that can be read: {error}); "
+                "name a directory that fly or reference wrote"
+            ) from error
+
+    def states(self, start: int | None = None) -> Iterator[tuple[int, messages.State]]:
+        """Yield (bird, state) in the order of the bag, from simulated time `start` in ns."""
+        birds = range(1, self.configuration.birds + 1)
+        bird_of = {topics.state_topic(bird): bird for bird in birds}
+        for topic, _, data in self.bag.messages(topics=list(bird_of), start=start):
+            yield bird_of[topic], self.decode(topic, data)
+
+    def decode(self, topic: str, data: bytes) -> messages.State:
+        """Return a state of this bag. Raises FlockError where it is none."""
+        return self._decode(messages.State, topic, data)
+
+    def _decode(self, kind: type[Message], topic: str, data: bytes) -> Message:
+        try:
+            return kind.decode(data)
+        except ValueError as error:
+            raise FlockError(
+                f"{self.path}: {topic}: {error}; take another copy of the bag"
+            ) from error
+
+    def wings(self) -> dict[int, FloatArray]:
+        """Return the span ratios of each bird, shape (members,), as its wing told them."""
+        birds = range(1, self.configuration.birds + 1)
+        bird_of = {topics.wing_topic(bird): bird for bird in birds}
+        found = self.bag.messages(topics=list(bird_of), end=1)
+        return {
+            bird_of[topic]: self._decode(messages.Wing, topic, data).span_ratio
+            for topic, _, data in found
+        }
+
+    def snapshots(self, start: int | None = None) -> Iterator[Snapshot]:
+        """Yield every complete recorded step, from simulated time `start` in ns."""
+        row: dict[int, messages.State] = {}
+        for bird, state in self.states(start):
+            if row and state.step != next(iter(row.values())).step:
+                row = {}
+            row[bird] = state
+            if len(row) == self.configuration.birds:
+                yield self._snapshot(row)
+                row = {}
+
+    def at(self, time: float | None = None) -> Snapshot:
+        """Return the flock at `time` in b / U_min; the last recorded step where None.
+
+        Raises FlockError where nothing was recorded at that time.
+        """
+        configuration = self.configuration
+        if time is None:
+            return self._last()
+        every = configuration.record_every * configuration.dt
+        if not np.isfinite(time):
+            raise FlockError(f"time {time}: must be finite; leave it out for the last recorded one")
+        step = round(time / every) * configuration.record_every
+        if abs(configuration.time(step) - time) <= 1e-9 * max(every, abs(time)):
+            for snapshot in self.snapshots(configuration.stamp(step)):
+                if snapshot.step == step:
+                    return snapshot
+                break
+        last = self._last().time
+        raise FlockError(f"time {time:g}: not recorded; multiples of {every:g} up to {last:g} are")
+
+    def metrics(self, time: float | None = None) -> Metrics:
+        """Return the metrics at `time` in b / U_min; at the last recorded step where None."""
+        snapshot = self.at(time)
+        return measure(
+            self.configuration,
+            snapshot.step,
+            snapshot.position,
+            snapshot.speed,
+            snapshot.interaction_drag,
+        )
+
+    def _last(self) -> Snapshot:
+        """Return the last complete row: the last or, in a bag cut short, the last but a few."""
+        end = self.bag.last_time
+        back, more = 0, self.configuration.stamp(64 * self.configuration.record_every) + 1
+        while end is not None:
+            last = deque(self.snapshots(max(end - back, 0)), maxlen=1)
+            if last:
+                return last[0]
+            if back >= end:
+                break
+            back, more = back + more, 2 * more
+        raise FlockError(f"{self.path}: no recorded step is complete; fly again")
+
+    def _snapshot(self, row: dict[int, messages.State]) -> Snapshot:
+        states = [row[bird] for bird in sorted(row)]
+        members = self.configuration.members
+        if any(len(getattr(state, name)) != members for state in states for name in ARRAYS):
+            raise FlockError(
+                f"{self.path}: the states of step {states[0].step} have not the {members} "
+                "members of the configuration; take another copy of the bag"
+            )
+        return Snapshot(
+            states[0].step,
+            states[0].time,
+            *(np.stack([getattr(state, name) for state in states]) for name in ARRAYS),
+        )

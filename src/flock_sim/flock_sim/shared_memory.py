@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shared memory that ended processes have left behind.
+
+Fast DDS leaves its segments and ports behind when a process is killed, and some of its ports even
+when it ends in order. Who uses one holds its lock file: that is how an orphan is told.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")
+SEGMENT = re.compile(r"fastrtps_([0-9a-f]{16}|port\d+)")
+LOCKS = ("_el", "_sl")
+
+YOUNGEST = 0.2
+"""Age, in s, below which something without a lock file may still be in the making."""
+
+
+def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
+    """Remove the Fast DDS segments and ports in `directory` that no process holds."""
+    if not directory.is_dir():
+        return
+    for name in {match[0] for path in directory.iterdir() if (match := SEGMENT.match(path.name))}:
+        orphan = directory / name
+        locks = [path for lock in LOCKS if (path := directory / f"{name}{lock}").exists()]
+        with suppress(OSError), ExitStack() as held:  # in use, somebody else's, or gone by now
+            for lock in locks:
+                held.enter_context(_held(lock))
+            if locks or time.time() - orphan.stat().st_ctime > YOUNGEST:
+                for file in (orphan, directory / f"sem.{name}_mutex", *locks):
+                    file.unlink(missing_ok=True)
+
+
+@contextmanager
+def _held(lock: Path) -> Iterator[None]:
+    """Hold the file `lock`. Raises BlockingIOError where another process does."""
+    descriptor = os.open(lock, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)

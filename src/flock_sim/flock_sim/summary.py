@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metrics of a run, as people read them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import STABLE_BELOW, Metrics
+
+MOST_MEMBERS = 12
+WIDTH = 8
+"""Values a line."""
+
+
+def summary(metrics: Metrics) -> str:
+    """Return the lines that `fly`, `reference` and `metrics` print."""
+    flock = f"{metrics.birds} bird{'s' * (metrics.birds > 1)}, {metrics.coupling} coupling"
+    if metrics.members > 1:
+        flock += f", {metrics.members} members"
+    steps = f"{metrics.steps} step{'s' * (metrics.steps != 1)} of {metrics.dt:g}"
+    lines = [f"{flock}, t = {metrics.t_final:g} ({steps})"]
+    shown = min(metrics.members, MOST_MEMBERS)
+    for m in range(shown):
+        lines += ["", f"member {m + 1}"] if metrics.members > 1 else []
+        lines += _member(metrics, m)
+    if shown < metrics.members:
+        lines += ["", f"... and {metrics.members - shown} members more"]
+    if metrics.members > 1:
+        lines += ["", f"{sum(metrics.stable)} of {metrics.members} members hold together"]
+    return "\n".join(lines)
+
+
+def _member(metrics: Metrics, m: int) -> list[str]:
+    stable = metrics.stable[m]
+    verdict = "holds together" if stable else "does not hold together"
+    lines = [
+        f"  verdict              {verdict} (sigma_U {'<' if stable else 'not <'} {STABLE_BELOW:g})",
+        f"  mean speed U*        {metrics.mean_speed[m]:.9f} U_min",
+        f"  spread sigma_U       {metrics.speed_std[m]:.3e} U_min",
+        f"  mean drag reduction  {100 * metrics.mean_drag_reduction[m]:.2f} %",
+    ]
+    if metrics.birds > 1:
+        lines += _wings(metrics, m)
+    if metrics.leader > 2:
+        order = "falls" if metrics.hierarchical[m] else "does not fall"
+        lines += [f"  hierarchy            spacing {order} from tail to leader"]
+    error = metrics.profile_error[m]
+    if error is not None:
+        lines += [f"  linear law           D/C = 1 - (i-1)/N to {error:.1e}"]
+    return lines
+
+
+def _wings(metrics: Metrics, m: int) -> list[str]:
+    """Return spacing and drag saved along the left wing; along the right one where it differs."""
+    head = metrics.leader - 1
+    spacing, saved = metrics.spacing[m], 100.0 * metrics.drag_reduction[m]
+    left, right = spacing[:head], -spacing[head:][::-1]
+    left_saved, right_saved = saved[: head + 1], saved[head:][::-1]
+    if len(right) == 0:
+        return [*_row("spacing", left, 4), *_row("drag saved, %", left_saved, 1)]
+    if _alike(left, right, 5e-4) and _alike(left_saved, right_saved, 0.05):
+        return [
+            *_row("spacing, left wing", left, 4),
+            *_row("drag saved, %", left_saved, 1),
+        ]
+    return [
+        *_row("spacing, left wing", left, 4),
+        *_row("spacing, right wing", right, 4),
+        *_row("drag saved, %, left", left_saved, 1),
+        *_row("drag saved, %, right", right_saved, 1),
+    ]
+
+
+def _alike(left: FloatArray, right: FloatArray, tolerance: float) -> bool:
+    return len(left) == len(right) and np.allclose(left, right, rtol=0.0, atol=tolerance)
+
+
+def _row(name: str, values: FloatArray, digits: int) -> list[str]:
+    """Return values from tail to leader, in as many lines as they need."""
+    cells = [f"{value:8.{digits}f}" for value in values]
+    rows = [cells[k : k + WIDTH] for k in range(0, len(cells), WIDTH)]
+    lines = [f"  {'':<20} {' '.join(row)}" for row in rows]
+    lines[0] = f"  {name:<20} {' '.join(rows[0])}   (tail to leader)"
+    return lines

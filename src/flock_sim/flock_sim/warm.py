@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile all kernels into the cache on disk, so that no flight waits for a compiler.
+
+`make setup` runs `python -m flock_sim.warm`.
+"""
+
+from __future__ import annotations
+
+from flock_sim.core.aerodynamics import interaction_integral
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Grant, Wing
+from flock_sim.core.monolith import Monolith
+from flock_sim.core.protocol import BirdProtocol
+
+
+def warm() -> None:
+    """Call every kernel once, with the types that flights call it with."""
+    configuration = FlockConfiguration(birds=2, t_max=2.0)
+    for _ in Monolith(configuration).fly():
+        pass
+    alone = FlockConfiguration(birds=1, t_max=1.0)
+    BirdProtocol(1, alone).receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
+    bird = BirdProtocol(1, configuration, run_id=1)
+    bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
+    bird.receive_wing(Wing(1, 2, configuration.span_ratio[1]))
+    interaction_integral(1.0, 2.0, 0.5, 0.5)
+
+
+if __name__ == "__main__":
+    warm()
