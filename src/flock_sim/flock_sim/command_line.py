@@ -24,7 +24,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, tool: str, description: str, examples: str) -> None:
         """Describe `tool`; `examples` closes its help."""
         super().__init__(
-            prog=f"flock {tool}",
+            prog=f"./flock {tool}",
             description=description,
             epilog=f"examples:\n{examples}",
             formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -16,7 +16,7 @@ from flock_sim.errors import RunFailed
 from flock_sim.shared_memory import remove_orphans
 
 SUPERVISED = "FLOCK_SUPERVISED"
-"""Set in the environment of the processes of a crew, which leave Ctrl-C to their parent."""
+"""Holds their parent's id in the environment of the processes of a crew."""
 
 GRACE = 3.0
 """Time, in s, that a process has to end in order before it is killed."""
@@ -41,7 +41,7 @@ class Crew:
         command = [sys.executable, "-P", "-m", module, "--ros-args", *self._arguments]
         for key, value in parameters.items():
             command += ["-p", f"{key}:={value}"]
-        environment = {**os.environ, SUPERVISED: "1"}
+        environment = {**os.environ, SUPERVISED: str(os.getpid())}
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
         self._hands.append(_Hand(who, process))
 

@@ -39,10 +39,10 @@ PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
 
 EXAMPLES = """\
-  flock fly                                         thirteen geese to their steady state
-  flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
-  flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
-  flock fly --config flock.yaml --output runs/mine --force"""
+  ./flock fly                                         thirteen geese to their steady state
+  ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
+  ./flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
+  ./flock fly --config flock.yaml --output runs/mine --force"""
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def _plan(options: argparse.Namespace) -> Plan:
         raise FlockError(f"--executor {options.executor}: {nearest(options.executor, EXECUTORS)}")
     if options.no_record and options.record_stages:
         raise FlockError("--record-stages and --no-record exclude each other: leave one out")
+    topics.steps_ahead(configuration, options.record_stages)  # refuses what can't be recorded
     return Plan(
         configuration,
         None if options.no_record else output_directory(options, "fly"),
@@ -165,7 +166,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
         ):
 
             def watch() -> None:
-                if keeper.step >= 0 and not begun:
+                if keeper.begun and not begun:
                     begun.append(time.monotonic())
                 show(keeper.step)
                 crew.check()

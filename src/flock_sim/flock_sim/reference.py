@@ -19,8 +19,8 @@ from flock_sim.recording import recording
 from flock_sim.report import add_output_options, output_directory, report
 
 EXAMPLES = """\
-  flock reference --birds 7 --t-max 1e5
-  flock reference --output runs/reference && flock compare runs/demo runs/reference"""
+  ./flock reference --birds 7 --t-max 1e5
+  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"""
 
 
 def tool(arguments: Sequence[str]) -> int:

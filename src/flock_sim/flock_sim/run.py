@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,9 @@ class Run:
 
     `configuration` is what was flown; `missing` is None, or one line on what the bag lacks; `bag`
     gives the messages themselves.
+
+        with Run("runs/demo") as run:
+            print(run.at().speed)
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -51,10 +54,21 @@ class Run:
         try:
             self.configuration = configuration_of(self.bag.metadata(CONFIGURATION_RECORD))
         except (KeyError, ValueError, FlockError) as error:
+            self.bag.close()
             raise FlockError(
                 f"{self.path}: not a bag of Flock's (no configuration that can be read: {error}); "
                 "name a directory that fly or reference wrote"
             ) from error
+
+    def close(self) -> None:
+        """Close the bag; a second call does nothing."""
+        self.bag.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
     def states(self, start: int | None = None) -> Iterator[tuple[int, messages.State]]:
         """Yield (bird, state) in the order of the bag, from simulated time `start` in ns."""

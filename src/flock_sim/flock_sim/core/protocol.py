@@ -24,6 +24,7 @@ from flock_sim.core.scaling import BirdCoefficients, Scales
 from flock_sim.core.stage_message import (
     HEADER,
     HEADER_AT,
+    HEADER_END,
     stage_bytes,
     stage_numbers,
     stage_words,
@@ -52,7 +53,7 @@ class BirdProtocol:
     >>> bird = BirdProtocol(1, FlockConfiguration(birds=1, t_max=2.0, record_every=1))
     >>> out = bird.receive_grant(Grant(run_id=7, step=2, end=2, dt=1.0, epoch=1))
     >>> [channel.value for channel, _ in out if channel is not Channel.STAGE]
-    ['wing', 'state', 'state', 'state', 'progress']
+    ['wing', 'state', 'state', 'progress', 'state', 'progress']
     """
 
     def __init__(self, bird: int, configuration: FlockConfiguration, run_id: int = 0) -> None:
@@ -85,13 +86,16 @@ class BirdProtocol:
         count = len(self.neighbours)
         self._heard = np.zeros((2, count, words))
         self._slots = [
-            {
-                other: stage_bytes(self._heard[side, k], members)
+            [
+                (other, stage_bytes(self._heard[side, k], members))
                 for k, other in enumerate(self.neighbours)
-            }
+            ]
             for side in range(2)
         ]
-        self._missing = [set(self.neighbours), set(self.neighbours)]
+        # The headers of the messages that this stage still lacks, and the next one, each with the
+        # neighbour and the room for it: what has none of these headers is not for us, or not now.
+        self._lacking: dict[bytes, tuple[int, memoryview]] = {}
+        self._lacking_next: dict[bytes, tuple[int, memoryview]] = {}
         self._mine = np.zeros((2, words))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
         self._size = len(self._outbox[0])
@@ -117,9 +121,9 @@ class BirdProtocol:
         return self._held and self.step == self._end
 
     @property
-    def missing(self) -> set[int]:
-        """The neighbours whose message for this stage is not here yet; empty while it is held."""
-        return self._missing[self._tick & 1]
+    def missing(self) -> list[int]:
+        """The neighbours whose message for this stage is not here yet; none while it is held."""
+        return [other for other, _ in self._lacking.values()]
 
     @property
     def waiting_for(self) -> str:
@@ -132,7 +136,7 @@ class BirdProtocol:
         if self._held:
             return f"the clock's leave to go beyond step {self.step}"
         stage = f"stage {self._tick % STAGES} of step {self.step}"
-        return f"{stage} from {', '.join(map(bird_name, sorted(self.missing)))}"
+        return f"{stage} from {', '.join(map(bird_name, self.missing))}"
 
     def receive_grant(self, grant: Grant) -> list[Outgoing]:
         """Take leave to go on. The first grant also begins the run."""
@@ -166,26 +170,16 @@ class BirdProtocol:
 
     def receive_stage(self, data: bytes) -> list[Outgoing]:
         """Take the stage message of a neighbour, as it came off the wire."""
-        if len(data) != self._size:
-            self.ignored += 1
-            return []
-        run_id, step, epoch, bird, stage, members = HEADER.unpack_from(data, HEADER_AT)
-        tick = STAGES * step + stage
-        missing = self._missing[tick & 1]
-        if (
-            not 0 <= tick - self._tick <= 1
-            or bird not in missing
-            or run_id != self.run_id
-            or epoch != self._epoch
-            or members != self._members
-        ):
-            self.ignored += 1
-            return []
-        self._slots[tick & 1][bird][:] = data
-        missing.discard(bird)
-        if missing or tick != self._tick or self._held or not self.in_flight:
-            return []  # before a bird is in flight, a stage may overtake its sender's wing
-        return self._advance()
+        if len(data) == self._size:
+            header = data[HEADER_AT:HEADER_END]
+            if slot := self._lacking.pop(header, None):
+                slot[1][:] = data
+                return [] if self._lacking or not self.in_flight else self._advance()
+            if slot := self._lacking_next.pop(header, None):
+                slot[1][:] = data
+                return []
+        self.ignored += 1
+        return []
 
     def _start(self, grant: Grant) -> list[Outgoing]:
         configuration = self._configuration
@@ -197,6 +191,7 @@ class BirdProtocol:
             )
         self.run_id, self._epoch = grant.run_id, grant.epoch
         self._grant(grant.step)
+        self._lacking, self._lacking_next = self._expected(0), self._expected(1)
         wing = Wing(self.run_id, self.bird, self._wings[self.bird])
         out = [(Channel.WING, wing.encode())]
         if not self.neighbours:
@@ -224,7 +219,7 @@ class BirdProtocol:
                     formation.VORTEX_FRACTION * row[-1, m],
                 )
         out = [self._stage()]
-        if not self._missing[0]:
+        if not self._lacking:
             out += self._advance()
         return out
 
@@ -240,9 +235,8 @@ class BirdProtocol:
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""
         out: list[Outgoing] = []
-        while not self._missing[self._tick & 1]:
+        while not self._lacking:
             step, stage = divmod(self._tick, STAGES)
-            now = self._tick & 1
             if not self._held:
                 feel_and_move(
                     self._tick,
@@ -254,14 +248,23 @@ class BirdProtocol:
                     self._work,
                 )
                 if stage == 0:
-                    out += self._reports(step, self._mine[now])
+                    out += self._reports(step, self._mine[self._tick & 1])
             self._held = stage == 0 and step >= self._granted
             if self._held:
                 break
-            self._missing[now].update(self.neighbours)
             self._tick += 1
+            self._lacking, self._lacking_next = self._lacking_next, self._expected(self._tick + 1)
             out.append(self._stage())
         return out
+
+    def _expected(self, tick: int) -> dict[bytes, tuple[int, memoryview]]:
+        """Return the headers of all neighbours' messages of `tick`."""
+        step, stage = divmod(tick, STAGES)
+        run_id, epoch, members, pack = self.run_id, self._epoch, self._members, HEADER.pack
+        return {
+            pack(run_id, step, epoch, slot[0], stage, members): slot
+            for slot in self._slots[tick & 1]
+        }
 
     def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
         """Return what the recorder and the clock are to know of the beginning of `step`."""

@@ -16,6 +16,7 @@ from flock_sim.core.messages import ENCAPSULATION
 
 HEADER = struct.Struct("<QQIIB3xI")
 HEADER_AT = len(ENCAPSULATION)
+HEADER_END = HEADER_AT + HEADER.size
 
 FIRST_WORD = 5
 """Where the positions begin, in words; speeds and circulations follow members + 1 words apart."""

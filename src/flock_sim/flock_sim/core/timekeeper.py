@@ -8,10 +8,14 @@ than the messages on the way to the recorder can hold.
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import Grant, Progress, Time
 from flock_sim.core.topics import RECORDER, bird_name, steps_ahead
+
+ABSENT = -2
+"""The step of somebody who has not been heard of; -1 is a recorder that has recorded nothing."""
 
 
 def new_run_id() -> int:
@@ -43,9 +47,12 @@ class Timekeeper:
         self._ahead = steps_ahead(configuration, record_stages)
         self.run_id = run_id
         self.epoch = 1
+        self.step = ABSENT
+        """The step that every bird has reached; ABSENT before all are there."""
+        self.moves = 0
+        """How often anybody has moved: a run in which this stays stands still."""
         birds = (bird_name(bird) for bird in range(1, configuration.birds + 1))
-        self._reached: dict[str, int | None] = dict.fromkeys(birds)
-        self._saved: int | None = None
+        self._reached = dict.fromkeys([*birds, *([RECORDER] if record else [])], ABSENT)
         self._record = record
         self._granted = 0
         self._told = -1
@@ -56,65 +63,62 @@ class Timekeeper:
         return self._grant(0)
 
     @property
-    def step(self) -> int:
-        """The step that every bird has reached; -1 before all are there."""
-        reached = [-1 if step is None else step for step in self._reached.values()]
-        return min(reached)
-
-    @property
     def finished(self) -> bool:
         """Whether the last step is reached, and on disk where it is to be recorded."""
         end = self._configuration.steps
         last_recorded = end - end % self._configuration.record_every
-        saved = self._saved if self._saved is not None else -1
-        return self.step == end and (not self._record or saved >= last_recorded)
+        return self.step == end and (not self._record or self._saved >= last_recorded)
 
     @property
-    def state(self) -> tuple[int, ...]:
-        """Everything that changes as the run goes on: a run whose state stays stands still."""
-        saved = -2 if self._saved is None else self._saved
-        return (saved, *(-1 if step is None else step for step in self._reached.values()))
+    def begun(self) -> bool:
+        """Whether all are there."""
+        return ABSENT not in self._reached.values()
 
     @property
-    def stage_of_run(self) -> str:
+    def where(self) -> str:
         """Where the run is, in words."""
-        if self.step < 0 or (self._record and self._saved is None):
-            return "to begin"
-        return f"at step {self.step} of {self._configuration.steps}"
+        return f"at step {self.step} of {self._configuration.steps}" if self.begun else "to begin"
 
     @property
     def waiting_for(self) -> list[str]:
         """Who has to move before the run can go on."""
-        reached = {name: -1 if step is None else step for name, step in self._reached.items()}
-        slowest = self.step
-        if slowest < self._granted or slowest < 0:
-            return [name for name, step in reached.items() if step == slowest]
+        if not self.begun:
+            return [name for name, step in self._reached.items() if step == ABSENT]
+        if self.step < self._granted:
+            return [name for name, step in self._birds() if step == self.step]
         return [RECORDER] if self._record else []
 
     def receive(self, progress: Progress) -> list[Grant | Time]:
-        """Take somebody's progress; what is not of this run changes nothing."""
+        """Take somebody's progress; what is not of this run, or not new, changes nothing."""
         if progress.run_id != self.run_id or progress.epoch != self.epoch:
             return []
-        if progress.who == RECORDER:
-            self._saved = max(progress.step, -1 if self._saved is None else self._saved)
-        elif progress.who in self._reached:
-            known = self._reached[progress.who]
-            self._reached[progress.who] = max(progress.step, -1 if known is None else known)
+        # The recorder has nothing on disk when it joins; a bird is at the start.
+        if progress.step <= self._reached.get(progress.who, progress.step):
+            return []
+        self._reached[progress.who] = progress.step
+        self.moves += 1
+        self.step = min(step for _, step in self._birds())
         return [*self._times(), *self._grants()]
+
+    @property
+    def _saved(self) -> int:
+        return self._reached[RECORDER]
+
+    def _birds(self) -> Iterable[tuple[str, int]]:
+        return ((name, step) for name, step in self._reached.items() if name != RECORDER)
 
     def _times(self) -> list[Time]:
         """Tell the time of every recorded step that the whole flock has reached."""
         every = self._configuration.record_every
-        first = self._told + every - self._told % every if self._told >= 0 else 0
-        steps = range(first, self.step + 1, every)
+        steps = range(self._told + 1, self.step + 1)
         self._told = max(self._told, self.step)
-        return [Time.at(self._configuration.stamp(step)) for step in steps]
+        return [Time.at(self._configuration.stamp(step)) for step in steps if step % every == 0]
 
     def _grants(self) -> list[Grant]:
-        if self.step < 0 or (self._record and self._saved is None):
+        if not self.begun:
             return []
         limit = min(self.step + self._window, self._configuration.steps)
-        if self._record and self._saved is not None:
+        if self._record:
             limit = min(limit, max(self._saved, 0) + self._ahead)
         if limit <= self._granted:
             return []

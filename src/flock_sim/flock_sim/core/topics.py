@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.runge_kutta import STAGES
+from flock_sim.errors import FlockError
 
 NAMESPACE = "/flock"
 CLOCK_TOPIC = "/clock"
@@ -46,9 +48,20 @@ def rows_ahead(configuration: FlockConfiguration) -> int:
 
 
 def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
-    """Return how many steps the flock may be ahead of what is on disk."""
-    steps = rows_ahead(configuration) * configuration.record_every
-    return min(steps, STAGE_DEPTH // 4 - 2) if record_stages else steps
+    """Return how many steps the flock may be ahead of what is on disk: two rows or more.
+
+    Raises FlockError where stages are to be recorded and the queues do not hold those of two rows.
+    """
+    every = configuration.record_every
+    steps = rows_ahead(configuration) * every
+    if not record_stages:
+        return steps
+    room = STAGE_DEPTH // STAGES - 2
+    if 2 * every > room:
+        raise FlockError(
+            f"record_every = {every}: must be {room // 2} or less where stages are recorded"
+        )
+    return min(steps, room)
 
 
 def depth(topic: str, configuration: FlockConfiguration) -> int:

@@ -148,7 +148,7 @@ _main = run_node(
     "One bird as a ROS 2 node. It flies as soon as its neighbours and the clock are there.\n\n"
     "parameters: index (1..N), run_id, timeout (s without news), executor (events|single), and\n"
     "all keys of the configuration file.",
-    "  flock bird --ros-args -p index:=3 --params-file flock.yaml\n"
+    "  ./flock bird --ros-args -p index:=3 --params-file flock.yaml\n"
     "  ros2 run flock_sim bird --ros-args -p index:=1 -p birds:=3 -p t_max:=100.0",
     work,
 )

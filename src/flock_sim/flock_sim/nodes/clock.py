@@ -65,25 +65,29 @@ def keep_time(
     timeout: float,
     watch: Callable[[], object],
 ) -> None:
-    """Serve `clock` until its run is finished or `watch`, called at least every WAIT, is true.
+    """Serve `clock` until its run is finished or `watch`, called every WAIT or so, is true.
 
     Says who is waited for when the flock stands
     still, and raises RunFailed where it did for `timeout` s.
     """
     keeper = clock.keeper
-    moved = time.monotonic()
-    last: tuple[int, ...] = ()
+    moves = -1
+    moved = watched = time.monotonic()
     said: list[str] = []
-    while not keeper.finished and not watch():
+    while not keeper.finished:
+        now = time.monotonic()
+        if now - watched >= WAIT:
+            watched = now
+            if watch():
+                return
         executor.spin_once(timeout_sec=WAIT)
-        state = keeper.state
-        if state != last:
-            moved, last, said = time.monotonic(), state, []
+        if keeper.moves != moves:
+            moves, moved, said = keeper.moves, now, []
             continue
-        silence = time.monotonic() - moved
+        silence = now - moved
         if silence < SAY_AFTER:
             continue
-        waits = f"waiting for {listing(keeper.waiting_for)} ({keeper.stage_of_run})"
+        waits = f"waiting for {listing(keeper.waiting_for)} ({keeper.where})"
         if silence > timeout:
             raise RunFailed(
                 f"no progress for {timeout:g} s, {waits}: start what is missing, or raise --timeout"
@@ -127,8 +131,8 @@ _main = run_node(
     "parameters: window (64; 1 is lockstep), record (true: wait for a recorder), record_stages,\n"
     "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"
     "configuration file.",
-    "  flock clock --ros-args --params-file flock.yaml\n"
-    "  flock clock --timeout 20 --ros-args -p birds:=3 -p record:=false",
+    "  ./flock clock --ros-args --params-file flock.yaml\n"
+    "  ./flock clock --timeout 20 --ros-args -p birds:=3 -p record:=false",
     work,
 )
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ctypes
+import operator
 import os
 import signal
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -130,12 +132,12 @@ def run_node(
 
     def tool(arguments: Sequence[str]) -> int:
         parser = Parser(f"{name} --ros-args", description, examples)
-        parser.prog = f"flock {name}"
+        parser.prog = f"./flock {name}"
         parser.usage = (
-            f"flock {name} [-h] [--timeout S] --ros-args [-p KEY:=VALUE]... [--params-file FILE]"
+            f"./flock {name} [-h] [--timeout S] --ros-args [-p KEY:=VALUE]... [--params-file FILE]"
         )
         parser.add_argument("--timeout", metavar="S", help="the parameter `timeout`, in s")
-        options = parser.parse_args(remove_ros_args([name, *arguments])[1:])
+        options = parser.parse_args(_without_ros_arguments(name, arguments))
         supervised = SUPERVISED in os.environ
         stop = Stop(heed_interrupt=not supervised)
         if supervised:
@@ -157,12 +159,28 @@ def run_node(
     return main
 
 
+def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not ROS's. Raises FlockError where ROS can't read its own."""
+    try:
+        return list(remove_ros_args([name, *arguments])[1:])
+    except (
+        rclpy_implementation.RCLInvalidROSArgsError,
+        rclpy_implementation.UnknownROSArgsError,
+    ) as error:
+        # After "at" comes the place in the sources of rcl, of use to nobody here.
+        words = str(error).partition(", at /")[0].replace("\n", " ")
+        reason = words.removeprefix("Failed to parse ROS arguments: ").strip()
+        raise FlockError(
+            f"ROS arguments: {reason}; ./flock {name} --help shows how they are written"
+        ) from error
+
+
 def _follow_parent() -> None:
     """Leave Ctrl-C to the parent, which ends the flight in order, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() == 1:
+        if str(os.getppid()) != os.environ[SUPERVISED]:
             raise FlockError("the process that started this one is gone; start the flight again")
 
 
@@ -198,7 +216,10 @@ def _parameters(name: str, context: Context) -> tuple[FlockConfiguration, dict[s
 def _like(key: str, value: Any, default: Any) -> Any:
     """Return `value` if it is of the type of `default`; a whole number may stand for a real one."""
     if isinstance(default, list):
-        return list(value)
+        try:
+            return [operator.index(item) for item in value]
+        except TypeError:
+            raise FlockError(f"{key} = {value!r}: must be a list such as [1, 2]") from None
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not type(default):

@@ -202,7 +202,7 @@ _main = run_node(
     "with it.\n\n"
     "parameters: output (a directory), force (replace it), record_stages, run_id, timeout (s\n"
     "without news), executor (events|single), and all keys of the configuration file.",
-    "  flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml",
+    "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml",
     work,
 )
 
