@@ -24,9 +24,8 @@ One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji.
 from math import log, log1p, pi, sqrt
 
 import numpy as np
-from numba import vectorize
 
-from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.kernel import FloatArray, elementwise, kernel
 
 PER_FOUR_PI = 1.0 / (4.0 * pi)
 
@@ -104,7 +103,7 @@ def ahead_integral(
     return log1p(excess) - bound
 
 
-@vectorize(cache=True)
+@elementwise
 def _integral(x: float, lateral: float, source_half: float, target_half: float) -> float:
     integral = ahead_integral(abs(x), abs(lateral), source_half, target_half)
     if x > 0.0:

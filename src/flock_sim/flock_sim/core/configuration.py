@@ -22,7 +22,10 @@ from flock_sim.errors import FlockError
 COUPLINGS = ("nearest", "all")
 
 # How close t_max / dt must be to a whole number: decimals such as 1000 / 0.01 are off by rounding.
-STEP_TOLERANCE = 1e-9
+STEP_TOLERANCE = 1e-12
+
+LAST_SECOND = 2.0**31
+"""What the 32 bits of a ROS time stamp can't hold any more, in s."""
 
 MEANING = {
     "birds": "number of birds N",
@@ -109,6 +112,11 @@ class FlockConfiguration:
             raise FlockError(
                 f"t_max = {self.t_max:g}: must be a multiple of dt = {self.dt:g}; "
                 f"{below:.12g} and {below + self.dt:.12g} are"
+            )
+        if self.time(self.steps) * self.second >= LAST_SECOND:
+            raise FlockError(
+                f"t_max = {self.t_max:g}: must be below {LAST_SECOND / self.second:.6g}, where "
+                "the seconds of ROS time end"
             )
         self.span_ratio  # noqa: B018  (read once, so that a bad one is refused here)
 

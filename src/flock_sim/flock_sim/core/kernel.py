@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """How numbers are held and how their loops are compiled."""
 
-from collections.abc import Callable
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 import numba
@@ -9,6 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
+
+HERE = Path(__file__).resolve().parent
+CACHE = HERE / "__pycache__" / "kernels"
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -19,5 +27,39 @@ def kernel(function: Function) -> Function:
     Arithmetic is that of IEEE 754 to the letter: no `fastmath`, so that every caller gets the same
     bits, and 1/0 = inf, so that a member that diverges stops nobody.
     """
-    compiled: Function = numba.njit(cache=True, error_model="numpy", fastmath=False)(function)
+    with _cache_of_this_version():
+        compiled: Function = numba.njit(cache=True, error_model="numpy", fastmath=False)(function)
     return compiled
+
+
+def elementwise(function: Callable[..., float]) -> Callable[..., FloatArray]:
+    """Compile a function of numbers into one of arrays, under the same rules."""
+    with _cache_of_this_version():
+        compiled: Callable[..., FloatArray] = numba.vectorize(cache=True)(function)
+    return compiled
+
+
+@contextmanager
+def _cache_of_this_version() -> Iterator[None]:
+    """Have numba look for compiled code that was made from exactly these sources.
+
+    By itself it looks at the age of the file that a kernel is in, and would go on with what an
+    older version of another file was compiled into.
+    """
+    before = numba.config.CACHE_DIR
+    directory = CACHE / sources_digest()
+    if os.access(directory if directory.exists() else HERE, os.W_OK):
+        numba.config.CACHE_DIR = str(directory)
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+@cache
+def sources_digest() -> str:
+    """Return what names this version of the core: a digest of all its files."""
+    digest = hashlib.sha256()
+    for path in sorted(HERE.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

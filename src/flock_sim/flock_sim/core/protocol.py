@@ -201,6 +201,7 @@ class BirdProtocol:
         return out
 
     def _grant(self, step: int) -> None:
+        step = min(step, self._end)
         self._granted = step
         # Ask for more half way, so that leave comes before it runs out.
         self._report_at = self.step + max(1, (step - self.step) // 2)

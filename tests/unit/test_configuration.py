@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be flown is flown as written; what cannot is refused in one line that helps."""
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from flock_sim.core.configuration import MEANING, FlockConfiguration
+from flock_sim.errors import FlockError
+
+
+def configured(**parameters) -> FlockConfiguration:
+    return FlockConfiguration.from_parameters(parameters)
+
+
+def refusal(**parameters) -> str:
+    """The one line with which `parameters` are refused."""
+    with pytest.raises(FlockError) as caught:
+        configured(**parameters)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert caught.value.exit_status == 2
+    return message
+
+
+# key, value -> words of the message: the value, the range, the fix
+REFUSED = [
+    ("birds", 0, ["birds = 0", "1 or more"]),
+    ("birds", -3, ["birds = -3", "1 or more"]),
+    ("birds", 2.5, ["birds = 2.5", "whole number"]),
+    ("birds", "13.5", ["birds = 13.5", "whole number"]),
+    ("birds", nan, ["birds = nan", "whole number"]),
+    ("birds", "1e999", ["birds = 1e999", "whole number"]),
+    ("birds", "many", ["birds = 'many'", "must be a number"]),
+    ("birds", True, ["birds = True", "must be a number"]),
+    ("birds", None, ["birds = None", "must be a number"]),
+    ("birds", 10**400, ["birds = 1000", "must be a number"]),
+    ("record_every", 0, ["record_every = 0", "1 or more"]),
+    ("record_every", -1, ["record_every = -1", "1 or more"]),
+    ("record_every", 0.5, ["record_every = 0.5", "whole number"]),
+    ("coupling", "near", ["coupling = 'near'", "did you mean 'nearest'?", "nearest, all"]),
+    ("coupling", "al", ["coupling = 'al'", "did you mean 'all'?"]),
+    ("coupling", "", ["coupling = ''", "known are nearest, all"]),
+    ("coupling", 3, ["coupling = 3", "must be text"]),
+    ("dt", "one", ["dt = 'one'", "must be a number"]),
+    ("t_max", [1.0], ["t_max = [1.0]", "must be a number"]),
+    ("cruise_speed", 17.9, ["cruise_speed = 17.9", "min_drag_speed", "18 m/s", "or more"]),
+    ("min_drag_speed", 18.6, ["cruise_speed = 18.5", "18.6 m/s"]),
+    ("span_ratios", "4=1.05", ["span_ratios = '4=1.05'", 'list such as ["4=1.05"]']),
+    ("span_ratios", 4, ["span_ratios = 4", "list such as"]),
+    ("span_ratios", [4.0], ["span_ratios = 4.0", "must be text"]),
+    ("span_ratios", ["4"], ["'4'", "I=LAMBDA", "such as 4=1.05"]),
+    ("span_ratios", ["4="], ["'4='", "I=LAMBDA"]),
+    ("span_ratios", ["=1.05"], ["'=1.05'", "I=LAMBDA"]),
+    ("span_ratios", ["4=1,"], ["'4=1,'", "I=LAMBDA"]),
+    ("span_ratios", ["4=big"], ["'4=big'", "I=LAMBDA"]),
+    ("span_ratios", ["4.0=1"], ["'4.0=1'", "I=LAMBDA"]),
+    ("span_ratios", ["4=1=2"], ["'4=1=2'", "I=LAMBDA"]),
+    ("span_ratios", ["4=0"], ["'4=0'", "0 must be finite and above 0"]),
+    ("span_ratios", ["4=-1.5"], ["'4=-1.5'", "-1.5 must be finite and above 0"]),
+    ("span_ratios", ["4=nan"], ["'4=nan'", "nan must be finite and above 0"]),
+    ("span_ratios", ["4=1,inf"], ["'4=1,inf'", "inf must be finite and above 0"]),
+    ("span_ratios", ["0=1"], ["'0=1'", "bird 0 is not among 1..13"]),
+    ("span_ratios", ["14=1"], ["'14=1'", "bird 14 is not among 1..13"]),
+    ("span_ratios", ["-1=1"], ["'-1=1'", "bird -1 is not among 1..13"]),
+    ("span_ratios", ["4=1", "4=2"], ["'4=2'", "bird 4 is given twice", "'4=1'"]),
+    (
+        "span_ratios",
+        ["4=1,2", "5=1,2,3"],
+        ["'4=1,2' has 2 members", "'5=1,2,3' has 3", "give 1 or 3"],
+    ),
+    ("span_ratios", ["4=0.5", "5=0.5"], ["0.5 and 0.5", "birds 4 and 5", "more than 1"]),
+    ("span_ratios", ["4=1,0.3", "5=1,0.4"], ["0.3 and 0.4", "birds 4 and 5", "more than 1"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"), REFUSED, ids=[f"{key}={value!r:.20}" for key, value, _ in REFUSED]
+)
+def test_bad_input_is_refused_naming_value_range_and_fix(key, value, words):
+    message = refusal(**{key: value})
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, nan, inf, -inf])
+@pytest.mark.parametrize(
+    "key",
+    [
+        "dt",
+        "t_max",
+        "body_mass",
+        "wing_span",
+        "air_density",
+        "min_drag_speed",
+        "cruise_speed",
+        "oswald_efficiency",
+        "zero_lift_drag",
+        "aspect_ratio",
+    ],
+)
+def test_every_quantity_must_be_finite_and_above_zero(key, value):
+    assert f"{key} = {value:g}: must be finite and above 0" in refusal(**{key: value})
+
+
+@pytest.mark.parametrize(
+    ("key", "near"),
+    [("bird", "birds"), ("tmax", "t_max"), ("span_ratio", "span_ratios"), ("dT", "dt")],
+)
+def test_an_unknown_key_is_answered_with_the_nearest_known_one(key, near):
+    message = refusal(**{key: 1})
+    assert f"unknown parameter {key!r}" in message
+    assert f"did you mean {near!r}?" in message
+
+
+def test_a_key_like_no_other_is_answered_with_all_that_are_known():
+    message = refusal(zzzzzz=1)
+    assert "did you mean" not in message
+    assert all(key in message for key in MEANING)
+
+
+def test_every_key_has_a_meaning_to_show():
+    assert list(MEANING) == list(FlockConfiguration().parameters())
+
+
+@pytest.mark.parametrize(
+    ("t_max", "dt", "fixes"),
+    [
+        (1.0, 0.3, ["0.9", "1.2"]),
+        (10.0, 3.0, ["9", "12"]),
+        (0.5, 1.0, ["1", "2"]),
+        (1000.5, 1.0, ["1000", "1001"]),
+    ],
+)
+def test_t_max_between_steps_is_refused_with_the_multiples_beside_it(t_max, dt, fixes):
+    message = refusal(t_max=t_max, dt=dt)
+    assert f"t_max = {t_max:g}: must be a multiple of dt = {dt:g}" in message
+    assert f"; {fixes[0]} and {fixes[1]} are" in message
+    for fix in fixes:
+        configured(t_max=fix, dt=dt)
+
+
+@pytest.mark.parametrize(("t_max", "dt"), [(1e4, 5e-324), (1e308, 1e-10), (1.0, 1e-309)])
+def test_more_steps_than_a_number_holds_are_refused(t_max, dt):
+    assert "t_max" in refusal(t_max=t_max, dt=dt)
+
+
+@given(steps=st.integers(1, 10**7), dt=st.decimals("0.001", "99", places=3))
+def test_decimals_that_multiply_are_taken_as_such(steps, dt):
+    # What is written exactly in decimals is a whole number of steps, however binary rounds it.
+    configuration = configured(t_max=str(steps * dt), dt=str(dt))
+    assert configuration.steps == steps
+
+
+# A thousandth of a step in 10^5 is 1e-8 of the flight: no rounding of decimals comes near.
+@given(steps=st.integers(1, 10**5), part=st.floats(0.001, 0.999), dt=st.floats(1e-3, 1e2))
+def test_a_broken_step_is_never_taken_for_a_whole_one(steps, part, dt):
+    refusal(t_max=(steps + part) * dt, dt=dt)
+
+
+def test_defaults_are_thirteen_geese():
+    configuration = FlockConfiguration()
+    assert (configuration.birds, configuration.members, configuration.steps) == (13, 1, 10000)
+    np.testing.assert_array_equal(configuration.span_ratio, np.ones((13, 1)))
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e4", 1e4), ("10000", 1e4), (" 10000.0 ", 1e4), (10000, 1e4)]
+)
+def test_numbers_may_be_text(text, number):
+    assert configured(t_max=text).t_max == number
+    assert configured(birds=text, t_max=1.0).birds == number
+    assert isinstance(configured(record_every=text).record_every, int)
+
+
+def test_an_empty_entry_is_none():
+    # ROS has no empty list of strings: [""] stands for it.
+    assert configured(span_ratios=[""]) == FlockConfiguration()
+
+
+def test_one_value_holds_for_all_members():
+    configuration = configured(birds=4, span_ratios=["2=0.9,1.0,1.1", "4=1.2"])
+    assert configuration.members == 3
+    np.testing.assert_array_equal(
+        configuration.span_ratio,
+        [[1.0, 1.0, 1.0], [0.9, 1.0, 1.1], [1.0, 1.0, 1.0], [1.2, 1.2, 1.2]],
+    )
+
+
+def test_a_single_bird_may_have_any_size():
+    assert configured(birds=1, span_ratios=["1=0.01"]).span_ratio[0, 0] == 0.01
+
+
+def test_too_small_a_bird_for_solo_flight_may_fly_in_a_flock():
+    assert configured(span_ratios=["4=0.9"]).span_ratio[3, 0] == 0.9
+
+
+@given(
+    birds=st.integers(1, 30),
+    coupling=st.sampled_from(["nearest", "all"]),
+    ratio=st.floats(0.6, 3.0),
+    dt=st.floats(1e-3, 10.0),
+    steps=st.integers(1, 1000),
+)
+def test_parameters_read_back_as_the_same_configuration(birds, coupling, ratio, dt, steps):
+    assume(dt * steps < 1e6)
+    configuration = FlockConfiguration(
+        birds=birds,
+        coupling=coupling,
+        dt=dt,
+        t_max=dt * steps,
+        span_ratios=(f"{birds}={ratio!r},1",),
+    )
+    again = FlockConfiguration.from_parameters(configuration.parameters())
+    assert again == configuration
+    np.testing.assert_array_equal(again.span_ratio, configuration.span_ratio)
+
+
+def test_time_and_stamp_count_from_the_first_step():
+    configuration = configured(dt=0.5, t_max=1000.0)
+    # b / U_min = 0.75 m / 18 m/s = 1/24 s; 36 steps of half of it are 0.75 s.
+    assert configuration.second == 0.75 / 18.0
+    assert configuration.time(36) == 18.0
+    assert configuration.stamp(0) == 0
+    assert configuration.stamp(36) == 750_000_000

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes of every message: laid out as CDR says, read back as written, refused when broken."""
+
+import struct
+import tracemalloc
+from dataclasses import fields, replace
+from math import inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import FRAME, Grant, Message, Progress, Stage, State, Time, Wing
+
+whole32, whole64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
+signed32, signed64 = st.integers(-(2**31), 2**31 - 1), st.integers(-(2**63), 2**63 - 1)
+octet = st.integers(0, 255)
+real = st.floats(allow_nan=True, allow_infinity=True)
+numbers = st.lists(real, max_size=50).map(lambda values: np.array(values, dtype=np.float64))
+text = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)
+
+MESSAGES = {
+    Wing: st.builds(Wing, whole64, whole32, numbers),
+    Stage: st.builds(Stage, whole64, whole64, whole32, whole32, octet, numbers, numbers, numbers),
+    State: st.builds(
+        State, signed32, whole32, text, whole64, real, numbers, numbers, numbers, numbers
+    ),
+    Grant: st.builds(Grant, whole64, whole64, whole64, real, whole32),
+    Progress: st.builds(Progress, whole64, signed64, whole32, text),
+    Time: st.builds(Time, signed32, whole32),
+}
+
+messages = st.one_of(*MESSAGES.values())
+KINDS = [pytest.param(kind, id=kind.__name__) for kind in MESSAGES]
+
+
+def same(one, other) -> bool:
+    """Whether two values are equal, numbers to the bit (nan included)."""
+    if isinstance(one, np.ndarray):
+        return one.tobytes() == np.asarray(other, dtype=np.float64).tobytes()
+    if isinstance(one, float):
+        return struct.pack("<d", one) == struct.pack("<d", other)
+    return one == other and type(one) is type(other)
+
+
+def assert_same(one: Message, other: Message) -> None:
+    assert type(one) is type(other)
+    for field in fields(one):
+        assert same(getattr(one, field.name), getattr(other, field.name)), field.name
+
+
+@given(message=messages)
+@example(message=Wing(7, 1, np.array([nan, inf, -inf, -0.0, 5e-324])))
+def test_what_is_written_is_read_back(message):
+    data = message.encode()
+    assert_same(message, type(message).decode(data))
+    assert type(message).decode(data).encode() == data
+
+
+@given(message=messages)
+def test_any_buffer_of_bytes_will_do(message):
+    data = message.encode()
+    for buffer in (bytearray(data), memoryview(data)):
+        assert_same(message, type(message).decode(buffer))
+
+
+@given(message=messages, spare=st.binary(max_size=8))
+def test_padding_after_a_message_is_left_alone(message, spare):
+    # Middleware may pad what it sends to a multiple of four bytes.
+    assert_same(message, type(message).decode(message.encode() + spare))
+
+
+@given(message=messages, data=st.data())
+def test_a_message_cut_short_is_refused(message, data):
+    whole = message.encode()
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises(ValueError, match=r"flock_interfaces/msg/|rosgraph_msgs/msg/Clock"):
+        type(message).decode(whole[:cut])
+
+
+def decoded_or_refused(kind: type[Message], data: bytes) -> None:
+    """Decode, letting ValueError through as the one way to refuse, and watch the memory."""
+    tracemalloc.start()
+    try:
+        kind.decode(data)
+    except ValueError:
+        pass
+    finally:
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    # Decoded arrays are views; text is copied once or twice. Python's own objects are small.
+    assert peak < 64 * 1024 + 8 * len(data)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(data=st.binary(max_size=200))
+def test_garbage_is_refused_with_value_error_or_read_in_little_memory(kind, data):
+    decoded_or_refused(kind, data)
+    decoded_or_refused(kind, b"\x00\x01\x00\x00" + data)
+
+
+@given(message=messages, data=st.data())
+def test_corrupt_bytes_are_refused_with_value_error_or_read_in_little_memory(message, data):
+    broken = bytearray(message.encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        broken[data.draw(st.integers(0, len(broken) - 1))] = data.draw(octet)
+    decoded_or_refused(type(message), bytes(broken))
+
+
+@pytest.mark.parametrize("length", [2**32 - 1, 2**31, 2**29, 1000])
+def test_a_sequence_longer_than_its_message_is_refused(length):
+    data = bytearray(Wing(7, 1, np.ones(3)).encode())
+    data[16:20] = struct.pack("<I", length)
+    with pytest.raises(ValueError, match="BirdWing"):
+        Wing.decode(bytes(data))
+
+
+@pytest.mark.parametrize("length", [2**32 - 1, 1000, 10])
+def test_a_text_longer_than_its_message_is_refused(length):
+    data = bytearray(Progress(7, 1, 1, "bird_01").encode())
+    data[24:28] = struct.pack("<I", length)
+    with pytest.raises(ValueError, match="Progress"):
+        Progress.decode(bytes(data))
+
+
+def test_text_that_is_not_utf_8_is_refused():
+    data = Progress(7, 1, 1, "bird_01").encode().replace(b"bird", b"\xff\xfe\xfd\xfc")
+    with pytest.raises(ValueError, match="Progress"):
+        Progress.decode(data)
+
+
+@pytest.mark.parametrize("header", [b"\x00\x00\x00\x00", b"\x00\x03\x00\x00", b"", b"\x00\x01"])
+def test_other_encapsulations_are_refused(header):
+    data = Grant(7, 1, 2, 1.0, 1).encode()
+    with pytest.raises(ValueError, match="not little-endian CDR"):
+        Grant.decode(header + data[4:] if len(header) == 4 else header)
+
+
+# --- the layout, by hand: alignment counts from the end of the 4 bytes of encapsulation ---
+
+CDR = b"\x00\x01\x00\x00"
+
+
+def laid_out(*parts) -> bytes:
+    """Bytes of (offset, format, values...) in order; gaps are zero. Offsets are by hand."""
+    body = bytearray()
+    for offset, layout, *values in parts:
+        assert offset >= len(body), "parts overlap"
+        body += bytes(offset - len(body))
+        body += struct.pack("<" + layout, *values)
+    return CDR + bytes(body)
+
+
+def test_layout_of_a_wing():
+    expected = laid_out((0, "Q", 7), (8, "I", 3), (12, "I", 2), (16, "2d", 1.0, 0.9))
+    assert Wing(7, 3, np.array([1.0, 0.9])).encode() == expected
+
+
+def test_layout_of_a_stage():
+    message = Stage(
+        7, 1000, 2, 13, 3, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0])
+    )
+    expected = laid_out(
+        (0, "Q", 7),
+        (8, "Q", 1000),
+        (16, "I", 2),
+        (20, "I", 13),
+        (24, "B", 3),
+        (28, "I", 2),
+        (32, "2d", 1.0, 2.0),
+        (48, "I", 2),
+        (56, "2d", 3.0, 4.0),
+        (72, "I", 2),
+        (80, "2d", 5.0, 6.0),
+    )
+    assert message.encode() == expected
+
+
+def test_layout_of_a_state():
+    message = State(
+        5, 6, "flock", 7, 0.5, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0])
+    )
+    expected = laid_out(
+        (0, "i", 5),
+        (4, "I", 6),
+        (8, "I", 6),
+        (12, "6s", b"flock\0"),
+        (24, "Q", 7),
+        (32, "d", 0.5),
+        (40, "I", 1),
+        (48, "d", 1.0),
+        (56, "I", 1),
+        (64, "d", 2.0),
+        (72, "I", 1),
+        (80, "d", 3.0),
+        (88, "I", 1),
+        (96, "d", 4.0),
+    )
+    assert message.encode() == expected
+
+
+def test_an_empty_sequence_is_its_length_and_no_padding():
+    empty = np.array([])
+    expected = laid_out(
+        (0, "Q", 7), (8, "Q", 1), (16, "I", 2), (20, "I", 3), (24, "B", 0), (28, "3I", 0, 0, 0)
+    )
+    assert Stage(7, 1, 2, 3, 0, empty, empty, empty).encode() == expected
+
+
+def test_layout_of_a_grant():
+    expected = laid_out((0, "Q", 7), (8, "Q", 64), (16, "Q", 10000), (24, "d", 0.25), (32, "I", 2))
+    assert Grant(7, 64, 10000, 0.25, 2).encode() == expected
+
+
+def test_layout_of_progress():
+    expected = laid_out(
+        (0, "Q", 7), (8, "q", -1), (16, "I", 2), (20, "I", 8), (24, "8s", b"bird_01\0")
+    )
+    assert Progress(7, -1, 2, "bird_01").encode() == expected
+
+
+def test_layout_of_the_clock():
+    assert Time(3, 500).encode() == laid_out((0, "i", 3), (4, "I", 500))
+
+
+def test_a_state_is_stamped_with_its_simulated_time():
+    # Step 36 of dt = 1 is 36 / 24 s = 1.5 s: b / U_min is 1/24 s.
+    one = np.ones(1)
+    state = State.at(FlockConfiguration(), 36, one, one, one, one)
+    assert (state.seconds, state.nanoseconds, state.frame) == (1, 500_000_000, "flock")
+    assert (state.step, state.time) == (36, 36.0)
+
+
+@given(stamp=st.integers(0, 2**31 * 10**9 - 1))
+def test_clock_time_splits_into_seconds_and_nanoseconds(stamp):
+    time = Time.at(stamp)
+    assert 0 <= time.nanoseconds < 10**9
+    assert time.stamp == stamp
+
+
+@given(message=MESSAGES[State])
+def test_the_step_of_an_encoded_state_is_read_without_decoding_it(message):
+    framed = replace(message, frame=FRAME)  # as all are
+    assert State.step_of(framed.encode()) == message.step
+
+
+@pytest.mark.parametrize("length", [0, 4, 27, 35])
+def test_a_state_too_short_to_hold_a_step_is_refused(length):
+    with pytest.raises(ValueError, match="BirdState"):
+        State.step_of(bytes(length))

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bird's step protocol: what it waits for, what it says, and that the flock flies to the bit."""
+
+from random import Random
+
+import numpy as np
+import pytest
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Grant, Progress, Stage, State, Wing
+from flock_sim.core.protocol import BirdProtocol, Channel
+from flock_sim.core.stage_message import stage_header
+from flock_sim.errors import FlockError
+from unit.network import EPOCH, RUN, Kind, Network, expected_states
+
+
+def configured(**parameters) -> FlockConfiguration:
+    return FlockConfiguration(**{"birds": 3, "t_max": 8.0, "record_every": 1, **parameters})
+
+
+def grant(step: int, configuration: FlockConfiguration, **changes) -> Grant:
+    fields = {
+        "run_id": RUN,
+        "step": step,
+        "end": configuration.steps,
+        "dt": configuration.dt,
+        "epoch": EPOCH,
+    }
+    return Grant(**{**fields, **changes})
+
+
+def of(channel: Channel, out: list[tuple[Channel, bytes]]) -> list[bytes]:
+    return [data for kind, data in out if kind is channel]
+
+
+def pair() -> tuple[BirdProtocol, BirdProtocol, FlockConfiguration]:
+    """Two birds that have heard no grant yet."""
+    configuration = configured(birds=2)
+    return BirdProtocol(1, configuration), BirdProtocol(2, configuration), configuration
+
+
+# --- the distributed flight is the monolithic one ---
+
+FLIGHTS = {
+    "the default flock": {"birds": 13, "t_max": 50.0, "record_every": 10},
+    "one": {"birds": 1, "t_max": 20.0, "record_every": 3},
+    "one of two members": {"birds": 1, "t_max": 20.0, "span_ratios": ("1=0.9,1.2",)},
+    "two": {"birds": 2, "t_max": 60.0},
+    "even": {"birds": 8, "t_max": 15.0, "dt": 0.25, "record_every": 7},
+    "spans that differ": {"birds": 5, "t_max": 60.0, "span_ratios": ("2=0.9", "4=1.1", "5=0.7")},
+    "members": {"birds": 5, "t_max": 60.0, "span_ratios": ("2=0.9,1,1.1", "5=0.7")},
+    "all-to-all, side by side": {"birds": 7, "t_max": 30.0, "coupling": "all"},
+    "all-to-all, even": {"birds": 4, "t_max": 60.0, "coupling": "all"},
+    "all-to-all, members": {
+        "birds": 6,
+        "t_max": 60.0,
+        "coupling": "all",
+        "span_ratios": ("2=0.9,1,1.1", "5=1.05"),
+    },
+    "coarse steps": {"birds": 5, "dt": 16.0, "t_max": 1600.0, "coupling": "all"},
+    "never recorded again": {"birds": 3, "t_max": 20.0, "record_every": 100},
+    "a member beyond all numbers": {"birds": 3, "t_max": 10.0, "span_ratios": ("2=1,1e100,1.1",)},
+}
+
+
+@pytest.mark.parametrize("window", [1, 8, 64])
+@pytest.mark.parametrize("parameters", FLIGHTS.values(), ids=FLIGHTS)
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_a_flock_of_birds_flies_as_the_monolith_does_to_the_bit(parameters, window):
+    configuration = FlockConfiguration(**{"record_every": 1, **parameters})
+    network = Network(configuration, window)
+    network.deliver_all()
+    assert network.finished
+    expected = expected_states(configuration)
+    assert {bird: log.states for bird, log in network.log.items()} == expected
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("coupling", ["nearest", "all"])
+def test_the_order_of_messages_changes_no_bit(coupling, seed):
+    configuration = configured(birds=6, t_max=20.0, coupling=coupling, span_ratios=("2=0.9,1.1",))
+    network = Network(configuration, window=1 + seed)
+    network.deliver_all(Random(seed))
+    assert network.finished
+    expected = expected_states(configuration)
+    assert {bird: log.states for bird, log in network.log.items()} == expected
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_messages_of_one_kind_may_all_be_late(kind):
+    network = Network(configured(birds=4, t_max=5.0), window=2)
+    while network.in_flight:
+        places = [k for k, letter in enumerate(network.in_flight) if letter.kind is not kind]
+        network.deliver(places[0] if places else 0)
+    assert network.finished
+    expected = expected_states(network.configuration)
+    assert {bird: log.states for bird, log in network.log.items()} == expected
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_a_member_that_diverges_changes_no_bit_of_the_others():
+    # lambda^4 of 1e100 is beyond all numbers: that member is nan from the first step on.
+    hurt = Network(configured(t_max=10.0, span_ratios=("2=1,1e100,1.1",)), window=4)
+    whole = Network(configured(t_max=10.0, span_ratios=("2=1,1.05,1.1",)), window=4)
+    hurt.deliver_all()
+    whole.deliver_all()
+    for bird in hurt.birds:
+        ours = [State.decode(data) for data in hurt.log[bird].states]
+        theirs = [State.decode(data) for data in whole.log[bird].states]
+        assert len(ours) == len(theirs) == 11
+        assert np.isnan(ours[-1].speed[1])
+        for one, other in zip(ours, theirs, strict=True):
+            for name in ("position", "speed", "circulation", "interaction_drag"):
+                here, there = getattr(one, name)[[0, 2]], getattr(other, name)[[0, 2]]
+                assert here.tobytes() == there.tobytes()
+
+
+# --- one bird, by hand ---
+
+
+def test_a_bird_says_nothing_before_the_first_grant():
+    bird, other, configuration = pair()
+    assert bird.waiting_for == "the clock's first grant"
+    assert not bird.in_flight
+    (wing,) = of(Channel.WING, other.receive_grant(grant(0, configuration)))
+    assert bird.receive_wing(Wing.decode(wing)) == []
+    out = bird.receive_grant(grant(0, configuration))
+    assert [channel for channel, _ in out] == [Channel.WING, Channel.STAGE]
+
+
+def test_a_bird_shows_its_wing_and_waits_for_its_neighbours():
+    configuration = configured(span_ratios=("2=0.9,1.1",))
+    bird = BirdProtocol(2, configuration)
+    ((channel, data),) = bird.receive_grant(grant(0, configuration))
+    assert channel is Channel.WING
+    wing = Wing.decode(data)
+    assert (wing.run_id, wing.bird, wing.span_ratio.tolist()) == (RUN, 2, [0.9, 1.1])
+    assert bird.waiting_for == "the wing of bird_01, bird_03"
+    bird.receive_wing(Wing(RUN, 1, np.ones(2)))
+    assert bird.waiting_for == "the wing of bird_03"
+    assert not bird.in_flight
+    out = bird.receive_wing(Wing(RUN, 3, np.ones(2)))
+    assert [channel for channel, _ in out] == [Channel.STAGE]
+    assert bird.in_flight
+    assert bird.waiting_for == "stage 0 of step 0 from bird_01, bird_03"
+    assert bird.missing == [1, 3]
+
+
+def test_a_stage_that_overtakes_its_senders_wing_is_kept_until_the_wing_is_here():
+    # Wings and stages travel on topics of their own, and nothing orders one after the other.
+    bird, other, configuration = pair()
+    (wing,) = of(Channel.WING, bird.receive_grant(grant(1, configuration)))
+    (other_wing,) = of(Channel.WING, other.receive_grant(grant(1, configuration)))
+    (stage,) = of(Channel.STAGE, other.receive_wing(Wing.decode(wing)))
+    assert bird.receive_stage(stage) == []
+    out = bird.receive_wing(Wing.decode(other_wing))
+    headers = [stage_header(data) for data in of(Channel.STAGE, out)]
+    assert [(step, stage) for _, step, _, _, stage, _ in headers] == [(0, 0), (0, 1)]
+    assert bird.ignored == 0
+
+
+def test_nothing_is_taken_for_a_stage_before_the_run_is_known():
+    # Run 0 and epoch 0 are what a bird has before its first grant.
+    configuration = configured(birds=2)
+    bird = BirdProtocol(1, configuration)
+    one = np.ones(1)
+    assert bird.receive_stage(Stage(0, 0, 0, 2, 0, one, one, one).encode()) == []
+    assert bird.ignored == 1
+    assert bird.waiting_for == "the clock's first grant"
+
+
+def test_a_bird_holds_at_the_step_that_it_was_granted():
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    bird.receive_grant(grant(0, configuration))
+    assert (bird.step, bird.finished) == (0, False)
+    assert bird.waiting_for == "the clock's leave to go beyond step 0"
+    out = bird.receive_grant(grant(5, configuration))
+    assert [State.decode(data).step for data in of(Channel.STATE, out)] == [1, 2, 3, 4, 5]
+    assert len(of(Channel.STAGE, out)) == 4 * 5
+    assert bird.step == 5
+    for late in (5, 3, 0):
+        assert bird.receive_grant(grant(late, configuration)) == []
+    assert bird.ignored == 0
+    bird.receive_grant(grant(8, configuration))
+    assert bird.finished
+
+
+@pytest.mark.parametrize(
+    ("granted", "reported"), [(0, [0]), (1, [1]), (2, [1, 2]), (7, [3, 7]), (8, [4, 8])]
+)
+def test_a_bird_reports_half_way_and_where_its_leave_ends(granted, reported):
+    # Half way, so that the next grant comes before it has to stop.
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    progress = of(Channel.PROGRESS, bird.receive_grant(grant(granted, configuration)))
+    assert [Progress.decode(data).step for data in progress] == reported
+
+
+def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
+    configuration = configured(birds=1, t_max=100.0)
+    bird = BirdProtocol(1, configuration)
+    bird.receive_grant(grant(10, configuration))
+    progress = of(Channel.PROGRESS, bird.receive_grant(grant(30, configuration)))
+    assert [Progress.decode(data).step for data in progress] == [20, 30]
+
+
+def test_a_stage_one_ahead_is_kept_and_two_ahead_refused():
+    configuration = configured()
+    middle = BirdProtocol(2, configuration)
+    middle.receive_grant(grant(8, configuration))
+    for other in (1, 3):
+        middle.receive_wing(Wing(RUN, other, np.ones(1)))
+
+    def stage_of(bird, step, stage):
+        position, speed = np.array([-1.8]), np.ones(1)
+        return Stage(RUN, step, EPOCH, bird, stage, position, speed, speed).encode()
+
+    assert middle.receive_stage(stage_of(1, 0, 0)) == []
+    assert middle.receive_stage(stage_of(1, 0, 1)) == []
+    assert middle.ignored == 0
+    assert middle.receive_stage(stage_of(1, 0, 2)) == []
+    assert middle.receive_stage(stage_of(3, 0, 2)) == []
+    assert middle.ignored == 2
+    # Bird 3's first stage brings the middle to stage 1, where bird 1 is already.
+    out = middle.receive_stage(stage_of(3, 0, 0))
+    assert [channel for channel, _ in out] == [Channel.STATE, Channel.STAGE]
+    assert middle.missing == [3]
+
+
+def test_what_a_bird_sent_does_not_change_when_it_flies_on():
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    first = bird.receive_grant(grant(1, configuration))
+    kept = [bytes(bytearray(data)) for _, data in first]
+    bird.receive_grant(grant(8, configuration))
+    assert [data for _, data in first] == kept
+
+
+@pytest.mark.parametrize("change", [{"dt": 0.5}, {"end": 9}])
+def test_a_clock_of_another_flight_is_refused(change):
+    configuration = configured()
+    with pytest.raises(FlockError, match=r"bird_02 8 of 1: give both the same configuration"):
+        BirdProtocol(2, configuration).receive_grant(grant(0, configuration, **change))
+
+
+def test_a_neighbour_of_another_flock_is_refused():
+    configuration = configured()
+    bird = BirdProtocol(2, configuration)
+    bird.receive_grant(grant(0, configuration))
+    with pytest.raises(FlockError, match=r"bird_01 flies 3 members and bird_02 1: give both"):
+        bird.receive_wing(Wing(RUN, 1, np.ones(3)))
+
+
+def test_a_bird_told_its_run_waits_for_that_run():
+    configuration = configured()
+    bird = BirdProtocol(2, configuration, run_id=RUN)
+    assert bird.receive_grant(grant(0, configuration, run_id=RUN + 1)) == []
+    assert bird.ignored == 1
+    assert of(Channel.WING, bird.receive_grant(grant(0, configuration)))
+
+
+def test_grants_and_wings_of_others_are_counted_and_change_nothing():
+    configuration = configured(birds=4)
+    bird = BirdProtocol(2, configuration)
+    bird.receive_grant(grant(0, configuration))
+    strangers = [
+        lambda: bird.receive_grant(grant(8, configuration, run_id=RUN + 1)),
+        lambda: bird.receive_grant(grant(8, configuration, epoch=EPOCH + 1)),
+        lambda: bird.receive_wing(Wing(RUN + 1, 1, np.ones(1))),
+        lambda: bird.receive_wing(Wing(RUN, 4, np.ones(1))),
+        lambda: bird.receive_wing(Wing(RUN, 2, np.ones(1))),
+    ]
+    for count, call in enumerate(strangers, start=1):
+        assert call() == []
+        assert bird.ignored == count
+    assert bird.waiting_for == "the wing of bird_01, bird_03"

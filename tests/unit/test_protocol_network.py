@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No network can change a bit of a flight: an adversary with every message in its hands."""
+
+from __future__ import annotations
+
+import struct
+from random import Random
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Grant, Wing
+from flock_sim.core.runge_kutta import STAGES
+from flock_sim.core.stage_message import HEADER, HEADER_AT
+from unit.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
+
+SPANS = ("0.9", "1.0", "1.07")
+
+
+@st.composite
+def configurations(draw) -> FlockConfiguration:
+    birds = draw(st.integers(1, 5))
+    members = draw(st.integers(1, 2))
+    entries = []
+    for bird in range(1, birds + 1):
+        if draw(st.booleans()):
+            ratios = draw(st.lists(st.sampled_from(SPANS), min_size=members, max_size=members))
+            entries.append(f"{bird}={','.join(ratios)}")
+    dt = draw(st.sampled_from([0.5, 1.0, 4.0]))
+    return FlockConfiguration(
+        birds=birds,
+        coupling=draw(st.sampled_from(["nearest", "all"])),
+        dt=dt,
+        t_max=dt * draw(st.integers(1, 8)),
+        record_every=draw(st.integers(1, 3)),
+        span_ratios=tuple(entries),
+    )
+
+
+def two_ticks_ahead(header, network, to):
+    """Further than a neighbour can be: it has to hear the tick between from this bird first."""
+    step, stage = divmod(max(network.log[to].tick, 0) + 2, STAGES)
+    return header[0], step, *header[2:4], stage, header[5]
+
+
+# Header fields of a stage message: run id, step, epoch, bird, stage, members.
+FORGERIES = {
+    "another run": lambda header, network, to: (RUN + 1, *header[1:]),
+    "no run": lambda header, network, to: (0, *header[1:]),
+    "no run, no epoch": lambda header, network, to: (0, header[1], 0, *header[3:]),
+    "an older epoch": lambda header, network, to: (*header[:2], EPOCH - 1, *header[3:]),
+    "a newer epoch": lambda header, network, to: (*header[:2], EPOCH + 1, *header[3:]),
+    "its own echo": lambda header, network, to: (*header[:3], to, *header[4:]),
+    "nobody": lambda header, network, to: (*header[:3], 0, *header[4:]),
+    "a stranger": lambda header, network, to: (
+        *header[:3],
+        network.configuration.birds + 1,
+        *header[4:],
+    ),
+    "two ticks ahead": two_ticks_ahead,
+    "steps ahead": lambda header, network, to: (
+        header[0],
+        network.birds[to].step + 2,
+        *header[2:],
+    ),
+    "the end of time": lambda header, network, to: (header[0], 2**64 - 1, *header[2:]),
+    "other members": lambda header, network, to: (*header[:5], header[5] + 1),
+}
+
+
+class Adversary(RuleBasedStateMachine):
+    """Delays, reorders, repeats, loses and invents messages; in the end everything arrives."""
+
+    @initialize(
+        configuration=configurations(),
+        window=st.integers(1, 5),
+        known_run=st.booleans(),
+        seed=st.integers(0, 2**32 - 1),
+    )
+    def take_off(self, configuration, window, known_run, seed):
+        self.network = Network(configuration, window, run_id=RUN if known_run else 0)
+        self.lost: list[Letter] = []
+        self.random = Random(seed)
+
+    @property
+    def some_in_flight(self) -> bool:
+        return bool(self.network.in_flight)
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(at=st.integers(0, 1000))
+    def deliver(self, at):
+        self.network.deliver(at)
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(count=st.integers(2, 60))
+    def deliver_many_in_any_order(self, count):
+        for _ in range(count):
+            if self.network.in_flight:
+                self.network.deliver(self.random.randrange(len(self.network.in_flight)))
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(to=st.integers(1, 5), count=st.integers(1, 20))
+    def deliver_to_one_bird_only(self, to, count):
+        for _ in range(count):
+            places = [k for k, letter in enumerate(self.network.in_flight) if letter.to == to]
+            if places:
+                self.network.deliver(self.random.choice(places))
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(at=st.integers(0, 1000))
+    def deliver_a_copy(self, at):
+        self.network.hand_over(self.network.in_flight[at % len(self.network.in_flight)])
+
+    @precondition(lambda self: self.network.delivered)
+    @rule(at=st.integers(0, 1000), times=st.integers(1, 3))
+    def replay(self, at, times):
+        letter = self.network.delivered[-1 - at % len(self.network.delivered)]
+        for _ in range(times):
+            self.network.hand_over(letter)
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(at=st.integers(0, 1000))
+    def lose(self, at):
+        in_flight = self.network.in_flight
+        self.lost.append(in_flight.pop(at % len(in_flight)))
+
+    @precondition(lambda self: self.lost)
+    @rule(at=st.integers(0, 1000))
+    def send_again(self, at):
+        self.network.in_flight.append(self.lost.pop(at % len(self.lost)))
+
+    @rule(to=st.integers(0, 4), data=st.binary(max_size=200))
+    def garbage(self, to, data):
+        self.network.hand_over_forgery(1 + to % self.network.configuration.birds, data)
+
+    @rule(to=st.integers(0, 4), fill=st.integers(1, 255))
+    def garbage_of_the_right_size(self, to, fill):
+        size = 4 + HEADER.size + 24 * self.network.configuration.members + 16
+        self.network.hand_over_forgery(
+            1 + to % self.network.configuration.birds, bytes([fill]) * (size - 4)
+        )
+
+    @rule(at=st.integers(0, 1000), how=st.sampled_from(sorted(FORGERIES)))
+    def forge(self, at, how):
+        # What is on its way would be welcome, but for the one thing that is changed.
+        letters = self.network.in_flight + self.network.delivered
+        stages = [letter for letter in letters if letter.kind is Kind.STAGE]
+        if stages:
+            letter = stages[at % len(stages)]
+            header = HEADER.unpack_from(letter.data, HEADER_AT)
+            forged = bytearray(letter.data)
+            HEADER.pack_into(forged, HEADER_AT, *FORGERIES[how](header, self.network, letter.to))
+            self.network.hand_over_forgery(letter.to, bytes(forged))
+
+    @rule(at=st.integers(0, 1000), cut=st.integers(-8, 8).filter(bool))
+    def change_the_length(self, at, cut):
+        letters = self.network.in_flight + self.network.delivered
+        stages = [letter for letter in letters if letter.kind is Kind.STAGE]
+        if stages:
+            letter = stages[at % len(stages)]
+            data = letter.data + bytes(cut) if cut > 0 else letter.data[:cut]
+            self.network.hand_over_forgery(letter.to, data)
+
+    @rule(to=st.integers(0, 4), run=st.sampled_from([0, RUN - 1, RUN + 1]))
+    def wing_of_another_run(self, to, run):
+        bird = self.network.birds[1 + to % self.network.configuration.birds]
+        for other in bird.neighbours:
+            ratio = self.network.configuration.span_ratio[other - 1] + 0.5
+            assert bird.receive_wing(Wing(run, other, ratio)) == []
+
+    @rule(to=st.integers(0, 4), off=st.sampled_from([(1, 0), (0, 1), (0, -1)]))
+    def grant_of_another_run_or_epoch(self, to, off):
+        number = 1 + to % self.network.configuration.birds
+        bird, configuration = self.network.birds[number], self.network.configuration
+        if self.network.log[number].limit >= 0:  # the first grant heard begins the run
+            before = bird.ignored
+            steps, dt = configuration.steps, configuration.dt
+            assert bird.receive_grant(Grant(RUN + off[0], steps, steps, dt, EPOCH + off[1])) == []
+            assert bird.ignored == before + 1
+
+    def teardown(self):
+        if not hasattr(self, "network"):
+            return
+        network = self.network
+        network.in_flight += self.lost
+        network.deliver_all(self.random)
+        assert network.finished
+        expected = expected_states(network.configuration)
+        assert {bird: log.states for bird, log in network.log.items()} == expected
+
+
+TestAdversary = Adversary.TestCase
+TestAdversary.settings = settings(max_examples=300, stateful_step_count=40)
+
+
+def test_forgeries_are_told_from_the_genuine_by_the_header_alone():
+    # The adversary above changes one thing at a time: unchanged, the message would be taken.
+    network = Network(FlockConfiguration(birds=2, t_max=4.0), window=4)
+    while not any(letter.kind is Kind.STAGE and letter.to != CLOCK for letter in network.in_flight):
+        network.deliver(0)
+    letter = next(letter for letter in network.in_flight if letter.kind is Kind.STAGE)
+    header = HEADER.unpack_from(letter.data, HEADER_AT)
+    assert header == (RUN, 0, EPOCH, 3 - letter.to, 0, 1)
+    for forge in FORGERIES.values():
+        forged = bytearray(letter.data)
+        struct.pack_into(HEADER.format, forged, HEADER_AT, *forge(header, network, letter.to))
+        network.hand_over_forgery(letter.to, bytes(forged))
+    network.deliver_all()
+    assert network.finished

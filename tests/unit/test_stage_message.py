@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stage message where it lies is the BirdStage that everybody else decodes."""
+
+import numpy as np
+import pytest
+
+from flock_sim.core.messages import Stage
+from flock_sim.core.stage_message import (
+    HEADER,
+    HEADER_AT,
+    stage_bytes,
+    stage_header,
+    stage_numbers,
+    stage_words,
+)
+
+
+def lying(members: int) -> tuple[np.ndarray, memoryview]:
+    """Words of a message whose numbers are 1, 2, 3 ... in the order they travel, and its bytes."""
+    words = np.zeros(stage_words(members))
+    data = stage_bytes(words, members)
+    for k, numbers in enumerate(stage_numbers(words, members)):
+        numbers[:] = 1.0 + k * members + np.arange(members)
+    HEADER.pack_into(data, HEADER_AT, 7, 1000, 2, 13, 3, members)
+    return words, data
+
+
+@pytest.mark.parametrize("members", [1, 2, 3, 50])
+def test_the_bytes_are_those_of_the_encoded_message(members):
+    words, data = lying(members)
+    position, speed, circulation = np.split(1.0 + np.arange(3 * members), 3)
+    message = Stage(7, 1000, 2, 13, 3, position, speed, circulation)
+    assert bytes(data) == message.encode()
+    for lies, sent in zip(stage_numbers(words, members), (position, speed, circulation)):
+        np.testing.assert_array_equal(lies, sent)
+
+
+def test_bytes_and_numbers_are_the_same_memory():
+    words, data = lying(2)
+    position, _, circulation = stage_numbers(words, 2)
+    one = np.ones(2)
+    data[:] = Stage(7, 1001, 2, 13, 0, 5.0 * one, one, 6.0 * one).encode()
+    assert (position.tolist(), circulation.tolist()) == ([5.0, 5.0], [6.0, 6.0])
+
+
+def test_the_header_is_read_without_decoding_the_message():
+    _, data = lying(2)
+    assert stage_header(bytes(data)) == (7, 1000, 2, 13, 3, 2)
+
+
+@pytest.mark.parametrize("length", [0, 4, HEADER_AT + HEADER.size - 1])
+def test_a_message_too_short_for_a_header_is_refused(length):
+    with pytest.raises(ValueError, match=f"{length} bytes is too short"):
+        stage_header(bytes(length))
