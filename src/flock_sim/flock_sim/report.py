@@ -36,7 +36,10 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
 
     `flight` holds steps_per_second, wall_seconds and output (None: not recorded).
     """
-    metrics = None if flight["output"] is None else Run(flight["output"]).metrics()
+    metrics = None
+    if flight["output"] is not None:
+        with Run(flight["output"]) as run:
+            metrics = run.metrics()
     rest = configuration.steps % configuration.record_every
     if metrics is not None and rest:
         note(

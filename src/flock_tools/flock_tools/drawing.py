@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of a flock: the formation from above, and the way that led to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import STABLE_BELOW, Metrics
+from flock_tools.birds_eye import FAINT, INK, Scene, draw_formation
+
+WIDTH = 9.0  # in
+MARGINS = 1.75  # in, beside the formation: labels and colour bar
+CURVES = 2.2  # in, height
+MOST_ODD = 4
+"""Birds of another span that are named."""
+
+MOST_NAMED = 6
+"""Spacings that are named."""
+
+ALARM = "#b5382a"
+STYLE: dict[Any, Any] = {
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "mathtext.fontset": "dejavusans",
+    "text.color": INK,
+    "xtick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.color": FAINT,
+    "ytick.labelcolor": INK,
+}
+TIME = "time t (b/$U_\\mathrm{min}$)"
+
+
+def draw(
+    configuration: FlockConfiguration, metrics: Metrics, history: xr.Dataset, member: int
+) -> Figure:
+    """Return the picture of `member` (from 1) at the moment of `metrics`.
+
+    `history` is the member's way through time, dims (time, bird), as `dataset.load` gives it.
+    """
+    scene = Scene.of(configuration, metrics, member - 1)
+    height = (WIDTH - MARGINS) * scene.height / scene.width
+    with mpl.rc_context(STYLE):
+        figure = Figure(
+            figsize=(WIDTH, height + CURVES + 1.75),
+            layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1),
+        )
+        grid = figure.add_gridspec(2, 2, height_ratios=(height, CURVES))
+        figure.suptitle(
+            _heading(configuration, metrics, member - 1), x=0.02, ha="left", fontsize=10
+        )
+        draw_formation(figure, figure.add_subplot(grid[0, :]), scene)
+        if configuration.birds == 1:
+            curves = [_speed(figure.add_subplot(grid[1, :]), history)]
+        else:
+            curves = [
+                _spread(figure.add_subplot(grid[1, 0]), history),
+                _spacings(figure.add_subplot(grid[1, 1]), history, metrics.leader),
+            ]
+        for axes in curves:
+            axes.set(xlabel=TIME, xlim=(0.0, max(float(history.time[-1]), configuration.dt)))
+            axes.axvline(metrics.t_final, color=FAINT, linewidth=0.8, linestyle=":", clip_on=False)
+    return figure
+
+
+def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str:
+    flock = f"{metrics.birds} bird{'s' * (metrics.birds > 1)}"
+    if metrics.birds > 1:
+        how = {"nearest": "nearest-neighbour", "all": "all-to-all"}[metrics.coupling]
+        flock += f", {how} coupling"
+    if metrics.members > 1:
+        flock += f", member {m + 1} of {metrics.members}"
+    ratio = configuration.span_ratio[:, m]
+    odd = np.flatnonzero(ratio != 1.0)
+    if 0 < len(odd) <= MOST_ODD:
+        flock += "".join(f", $\\lambda_{{{i + 1}}}$ = {ratio[i]:g}" for i in odd)
+    elif len(odd):
+        flock += f", $\\lambda$ from {ratio.min():g} to {ratio.max():g}"
+    facts = []
+    if metrics.birds > 1:
+        together = "holds together" if metrics.stable[m] else "does not hold together"
+        facts = [together, f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
+    facts += [
+        f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
+        f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",
+    ]
+    return f"{flock}\nt = {metrics.t_final:g}:  {',  '.join(facts)}"
+
+
+def _speed(axes: Axes, history: xr.Dataset) -> Axes:
+    """Draw the speed of a bird that flies alone."""
+    axes.plot(history.time, history.speed, color=INK, linewidth=1.2)
+    axes.set(ylabel="speed $U$ ($U_\\mathrm{min}$)")
+    axes.ticklabel_format(axis="y", useOffset=False)
+    return axes
+
+
+def _spread(axes: Axes, history: xr.Dataset) -> Axes:
+    """Draw sigma_U against time, and the threshold below which a flock is stable."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        spread: FloatArray = history.speed.std("bird", skipna=False).to_numpy()
+    # At the start all speeds are the same: what is left is rounding.
+    shown = np.isfinite(spread) & (spread > 0.0) & (history.time.to_numpy() > 0.0)
+    bottom = 0.5 * spread[shown].min(initial=STABLE_BELOW / 10.0)
+    top = 2.0 * spread[shown].max(initial=STABLE_BELOW * 10.0)
+    axes.set(
+        yscale="log", ylim=(bottom, top), ylabel="spread of speeds $\\sigma_U$ ($U_\\mathrm{min}$)"
+    )
+    axes.axhspan(bottom, STABLE_BELOW, color="#e8f0ea", linewidth=0)
+    axes.axhline(STABLE_BELOW, color=ALARM, linewidth=0.9)
+    axes.plot(history.time, np.where(shown, spread, np.nan), color=INK, linewidth=1.1)
+    axes.text(
+        0.02,
+        0.04,
+        f"stable below {STABLE_BELOW:g}",
+        transform=axes.transAxes,
+        color=ALARM,
+        fontsize=8,
+    )
+    return axes
+
+
+def _spacings(axes: Axes, history: xr.Dataset, leader: int) -> Axes:
+    """Draw the spacings along both wings against time; the right one dashed."""
+    time = history.time.to_numpy()
+    position = history.position.transpose("time", "bird").to_numpy()
+    with np.errstate(invalid="ignore"):
+        gap = np.diff(position, axis=1)
+    gap[:, leader - 1 :] *= -1.0
+    left = leader - 1
+    shades = mpl.colormaps["plasma"](np.linspace(0.0, 0.82, max(left, 2)))
+    for k in range(gap.shape[1]):
+        from_tail = k if k < left else gap.shape[1] - 1 - k
+        dashed = "-" if k < left else (0, (3, 3))
+        named = k in _spread_out(left)
+        axes.plot(
+            time,
+            gap[:, k],
+            color=shades[from_tail],
+            linewidth=1.0,
+            linestyle=dashed,
+            label=f"{k + 1} to {k + 2}" if named else None,
+        )
+    known = np.abs(gap[np.isfinite(gap)])
+    if known.max(initial=0.0) > 30.0:
+        axes.set_yscale("symlog", linthresh=10.0)
+    right = "; right wing dashed" if gap.shape[1] > left else ""
+    axes.set(ylabel=f"spacing (b{right})")
+    names = axes.legend(
+        title="birds",
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.04),
+        fontsize=7.5,
+        title_fontsize=7.5,
+        frameon=False,
+        handlelength=1.2,
+    )
+    names.set_in_layout(False)  # it lies in the room below the colour bar
+    return axes
+
+
+def _spread_out(count: int) -> set[int]:
+    """Return the indices of up to MOST_NAMED of `count` things, first and last among them."""
+    return {round(k) for k in np.linspace(0, count - 1, min(count, MOST_NAMED))}

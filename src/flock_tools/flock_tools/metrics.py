@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What became of a recorded flock: `flock metrics RUN`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from flock_sim.command_line import Parser, note, print_json, run_tool
+from flock_sim.run import Run
+from flock_sim.summary import summary
+from flock_tools.moment import add_moment_option, moment
+
+DESCRIPTION = """\
+Say of a recorded run whether the flock holds together, how it is spaced, and what it saves.
+Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min."""
+
+EXAMPLES = """\
+  ./flock metrics runs/demo
+  ./flock metrics runs/demo --at 500
+  ./flock metrics runs/demo --json | jq .speed_std"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Measure a run and print what was found."""
+    parser = Parser("metrics", DESCRIPTION, EXAMPLES)
+    parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
+    add_moment_option(parser)
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
+    options = parser.parse_args(arguments)
+    time = moment(options)
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; what is whole of it is used")
+        metrics = run.metrics(time)
+    if options.json:
+        print_json(metrics.as_json())
+    else:
+        print(summary(metrics))
+    return 0
+
+
+def main() -> int:
+    """Run the `metrics` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

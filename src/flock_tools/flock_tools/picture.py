@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A picture of a recorded flock, seen from above: `flock picture RUN`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from flock_sim.command_line import Parser, note, run_tool, whole_number
+from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from flock_tools.dataset import read
+from flock_tools.drawing import draw
+from flock_tools.moment import add_moment_option, moment
+
+MOST_TIMES = 2000
+"""Moments of the flight that its curves are drawn through."""
+
+RESOLUTION = 200
+"""Of the picture, in dots per inch."""
+
+DESCRIPTION = """\
+Draw the formation at one moment, each bird coloured by the drag it saves, above the way the flock
+took there: the spread of its speeds and the spacings along its wings against time."""
+
+EXAMPLES = """\
+  ./flock picture runs/demo                                  writes runs/demo/formation.png
+  ./flock picture runs/demo --at 100 --output early.png
+  ./flock picture runs/three --member 2 --output second.pdf"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Draw a run and say where the picture is."""
+    parser = Parser("picture", DESCRIPTION, EXAMPLES)
+    parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
+    add_moment_option(parser)
+    parser.add_argument(
+        "--member", metavar="M", default="1", help="which of the flocks flown at once (1)"
+    )
+    parser.add_argument(
+        "--output", metavar="FILE", type=Path, help="the picture (RUN/formation.png)"
+    )
+    options = parser.parse_args(arguments)
+    time = moment(options)
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; what is whole of it is drawn")
+        member = whole_number("--member", options.member, 1, run.configuration.members)
+        metrics = run.metrics(time)
+        rows = run.at().step // run.configuration.record_every + 1
+        history = read(run, stride=-(-rows // MOST_TIMES)).sel(member=member)
+        figure = draw(run.configuration, metrics, history, member)
+    output = _output(options)
+    _write(figure, output)
+    print(output)
+    return 0
+
+
+def _write(figure: Figure, output: Path) -> None:
+    """Write the picture in the format that the name ends in, PNG where it has no ending."""
+    kind = output.suffix.lstrip(".").lower() or "png"
+    kinds = figure.canvas.get_supported_filetypes()
+    if kind not in kinds:
+        raise FlockError(f"--output {output}: must end in one of {', '.join(sorted(kinds))}")
+    picture = BytesIO()
+    figure.savefig(picture, dpi=RESOLUTION, format=kind)
+    try:
+        output.write_bytes(picture.getbuffer())
+    except OSError as error:
+        raise FlockError(f"--output {output}: can't be written: {error.strerror}") from error
+
+
+def _output(options: argparse.Namespace) -> Path:
+    if options.output is not None:
+        return Path(options.output)
+    run = Path(options.run)
+    return (run if run.is_dir() else run.parent) / "formation.png"
+
+
+def main() -> int:
+    """Run the `picture` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded flights for the tests of what reads them."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from flock_sim.core import topics
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Grant, State, Time, Wing
+from flock_sim.core.monolith import Monolith, Recorded
+from flock_sim.recording import recording
+
+Change = Callable[[int, State], State | None]
+"""What becomes of a bird's state on its way into the bag; None: it is left out."""
+
+
+def keep(bird: int, state: State) -> State:
+    return state
+
+
+def record(
+    directory: Path,
+    configuration: FlockConfiguration,
+    change: Change = keep,
+    *,
+    states: Iterable[Recorded] | None = None,
+    span_ratio: np.ndarray | None = None,
+    run_id: int = 0,
+    grants: bool = False,
+    bird_by_bird: bool = False,
+) -> Path:
+    """Record a flight, by default that of the configuration; return its directory.
+
+    `bird_by_bird` writes all states of bird 1, then all of bird 2, and so on.
+    """
+    birds = range(1, configuration.birds + 1)
+    ratio = configuration.span_ratio if span_ratio is None else span_ratio
+    rows = []  # (place in the bag, topic, stamp, data)
+    for recorded in Monolith(configuration).fly() if states is None else states:
+        step = recorded.step
+        stamp = configuration.stamp(step)
+        if step == 0:
+            for bird in birds:
+                wing = Wing(run_id, bird, ratio[bird - 1])
+                rows.append((-1, topics.wing_topic(bird), stamp, wing.encode()))
+        rows.append((step, topics.CLOCK_TOPIC, stamp, Time.at(stamp).encode()))
+        if grants:
+            grant = Grant(run_id, step, configuration.steps, configuration.dt, 3)
+            rows.append((step, topics.GRANT_TOPIC, stamp, grant.encode()))
+        for bird in birds:
+            arrays = (getattr(recorded, name)[bird - 1] for name in State.__slots__[5:])
+            state = change(bird, State.at(configuration, step, *arrays))
+            if state is not None:
+                place = bird * (configuration.steps + 1) if bird_by_bird else step
+                rows.append((place, topics.state_topic(bird), stamp, state.encode()))
+    with recording(directory, configuration, grants=grants) as run:
+        for _, topic, stamp, data in sorted(rows, key=lambda row: row[0]):
+            run.bag.write(topic, stamp, data)
+    return directory

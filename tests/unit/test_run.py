@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run read back is the run that was flown, also where its bag is not whole."""
+
+import gc
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flock_sim.bag.topic import Topic
+from flock_sim.bag.writer import BagWriter
+from flock_sim.core import messages
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.monolith import Monolith
+from flock_sim.errors import FlockError
+from flock_sim.run import ARRAYS, Run
+from unit.flights import record
+
+CONFIGURATION = FlockConfiguration(birds=3, t_max=60.0, record_every=3, span_ratios=("3=0.99,1.0",))
+
+
+Open = Callable[[Path], Run]
+
+
+@pytest.fixture
+def opened() -> Iterator[Open]:
+    """Opens runs for the length of a test."""
+    with ExitStack() as stack:
+        yield lambda path: stack.enter_context(Run(path))
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("flight") / "run", CONFIGURATION)
+
+
+def test_every_recorded_step_comes_back_to_the_bit(flight: Path, opened: Open) -> None:
+    run = opened(flight)
+    assert run.configuration == CONFIGURATION
+    assert run.missing is None
+    snapshots = list(run.snapshots())
+    flown = list(Monolith(CONFIGURATION).fly())
+    assert [snapshot.step for snapshot in snapshots] == list(range(0, 61, 3))
+    for snapshot, recorded in zip(snapshots, flown, strict=True):
+        assert snapshot.time == recorded.step * CONFIGURATION.dt
+        for name in ARRAYS:
+            assert getattr(snapshot, name).tobytes() == getattr(recorded, name).tobytes()
+
+
+def test_wings_are_those_of_the_configuration(flight: Path, opened: Open) -> None:
+    wings = opened(flight).wings()
+    assert sorted(wings) == [1, 2, 3]
+    for bird, ratio in wings.items():
+        np.testing.assert_array_equal(ratio, CONFIGURATION.span_ratio[bird - 1])
+
+
+def test_the_last_step_is_the_last_that_every_bird_has(tmp_path: Path, opened: Open) -> None:
+    record(
+        tmp_path / "run",
+        CONFIGURATION,
+        lambda bird, state: None if bird > 1 and state.step > 3 * 5 * bird - 18 else state,
+    )
+    run = opened(tmp_path / "run")
+    assert run.at().step == 12
+    assert run.at(3.0).step == 3
+
+
+def test_a_last_step_long_before_the_end_of_the_bag_is_found(tmp_path: Path, opened: Open) -> None:
+    configuration = replace(CONFIGURATION, t_max=1500.0)
+    record(
+        tmp_path / "run",
+        configuration,
+        lambda bird, state: None if bird == 2 and state.step > 0 else state,
+    )
+    assert opened(tmp_path / "run").at().step == 0
+
+
+def test_steps_far_too_short_for_a_clock_are_read(tmp_path: Path, opened: Open) -> None:
+    """Steps of less than a nanosecond all have the same stamp."""
+    configuration = replace(CONFIGURATION, dt=1e-10, t_max=6e-9)
+    record(tmp_path / "run", configuration)
+    assert opened(tmp_path / "run").at().step == 60
+
+
+def test_a_bag_that_was_torn_off_gives_what_is_whole(
+    flight: Path, tmp_path: Path, opened: Open
+) -> None:
+    configuration = replace(CONFIGURATION, t_max=15000.0)
+    path = record(tmp_path / "run", configuration)
+    (path / "metadata.yaml").unlink()
+    (file,) = path.glob("*.mcap")
+    os.truncate(file, file.stat().st_size * 2 // 3)
+    run = opened(path)
+    assert run.missing is not None
+    last = run.at()
+    assert 0 < last.step < 15000
+    assert run.at(last.time).step == last.step
+    with pytest.raises(FlockError, match="not recorded"):
+        run.at(15000.0)
+
+
+@pytest.mark.parametrize("time", [1.0, 63.0, 1e300, -3.0, float("nan"), float("inf")])
+def test_a_time_that_was_not_recorded_is_refused(flight: Path, time: float, opened: Open) -> None:
+    with pytest.raises(FlockError, match="time"):
+        opened(flight).at(time)
+
+
+def test_decimal_times_are_found_in_spite_of_their_rounding(tmp_path: Path, opened: Open) -> None:
+    configuration = FlockConfiguration(birds=1, dt=0.1, t_max=3.0, record_every=1)
+    run = opened(record(tmp_path / "run", configuration))
+    for step in range(31):
+        assert run.at(float(f"{step / 10}")).step == step
+
+
+def test_a_flight_without_states_is_refused(tmp_path: Path, opened: Open) -> None:
+    run = opened(record(tmp_path / "run", CONFIGURATION, states=[]))
+    with pytest.raises(FlockError, match="no recorded step is complete"):
+        run.at()
+
+
+def test_states_of_another_number_of_members_are_refused(tmp_path: Path, opened: Open) -> None:
+    record(
+        tmp_path / "run",
+        CONFIGURATION,
+        lambda bird, state: replace(state, speed=np.ones(3)) if bird == 2 else state,
+    )
+    with pytest.raises(FlockError, match="2 members"):
+        opened(tmp_path / "run").at()
+
+
+def test_bytes_that_are_no_state_are_refused(flight: Path, opened: Open) -> None:
+    run = opened(flight)
+    with pytest.raises(FlockError, match="BirdState"):
+        run.decode("/flock/bird_01/state", messages.ENCAPSULATION + b"\1\2\3")
+
+
+def test_a_bag_of_something_else_is_refused(tmp_path: Path, opened: Open) -> None:
+    with BagWriter(tmp_path / "bag", [Topic("/chatter", "std_msgs/msg/Header")], {}) as bag:
+        bag.write("/chatter", 0, b"\0\1\0\0")
+    with pytest.raises(FlockError, match="not a bag of Flock's"):
+        opened(tmp_path / "bag")
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_file_is_left_open(flight: Path, tmp_path: Path) -> None:
+    with Run(flight) as run:
+        run.metrics()
+    with BagWriter(tmp_path / "foreign", [Topic("/chatter", "std_msgs/msg/Header")], {}):
+        pass
+    with pytest.raises(FlockError):
+        Run(tmp_path / "foreign")
+    gc.collect()

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The summary says what the metrics say, for every flock that can be flown."""
+
+import numpy as np
+import pytest
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.metrics import Metrics, measure
+from flock_sim.core.monolith import Monolith
+from flock_sim.summary import MOST_MEMBERS, summary
+
+
+def metrics_of(configuration: FlockConfiguration) -> Metrics:
+    flock = Monolith(configuration)
+    flock.advance(configuration.steps)
+    return measure(
+        configuration, configuration.steps, flock.position, flock.speed, flock.observe()[3]
+    )
+
+
+@pytest.mark.parametrize("coupling", ["nearest", "all"])
+@pytest.mark.parametrize("birds", [1, 2, 3, 4, 5, 6, 7, 8, 31])
+def test_every_size_of_flock_has_a_summary(birds: int, coupling: str) -> None:
+    text = summary(metrics_of(FlockConfiguration(birds=birds, coupling=coupling, t_max=20.0)))
+    assert text.startswith(f"{birds} bird{'s' if birds > 1 else ''}, {coupling} coupling, t = 20 ")
+    assert ("spacing" in text) == (birds > 1)
+    assert ("hierarchy" in text) == (birds >= 4)
+    assert ("linear law" in text) == (birds % 2 == 1 and birds > 1 and coupling == "nearest")
+    assert max(len(line) for line in text.splitlines()) <= 120
+
+
+def test_wings_that_mirror_each_other_are_told_once() -> None:
+    alike = summary(metrics_of(FlockConfiguration(birds=7, t_max=50.0)))
+    assert "left wing" in alike
+    assert "right wing" not in alike
+    unlike = summary(metrics_of(FlockConfiguration(birds=7, t_max=50.0, span_ratios=("2=1.1",))))
+    assert "right wing" in unlike
+
+
+def test_the_right_wing_is_told_from_its_tail() -> None:
+    configuration = FlockConfiguration(birds=5)
+    position = np.array([[0.0], [3.0], [4.0], [3.5], [1.5]])
+    text = summary(measure(configuration, 0, position, np.ones((5, 1)), np.zeros((5, 1))))
+    (left,) = (line for line in text.splitlines() if "spacing, left wing" in line)
+    (right,) = (line for line in text.splitlines() if "spacing, right wing" in line)
+    assert left.split()[3:5] == ["3.0000", "1.0000"]
+    assert right.split()[3:5] == ["2.0000", "0.5000"]
+
+
+def test_all_spacings_of_a_large_flock_are_told() -> None:
+    metrics = metrics_of(FlockConfiguration(birds=41, t_max=20.0))
+    text = summary(metrics)
+    for spacing in metrics.spacing[0][:20]:
+        assert f"{spacing:.4f}" in text
+
+
+def test_of_many_members_the_first_are_told_and_all_are_counted() -> None:
+    ratios = ",".join(f"{1 + 0.001 * m:g}" for m in range(20))
+    metrics = metrics_of(FlockConfiguration(birds=3, t_max=20.0, span_ratios=(f"1={ratios}",)))
+    text = summary(metrics)
+    assert f"member {MOST_MEMBERS}\n" in text
+    assert f"member {MOST_MEMBERS + 1}\n" not in text
+    assert f"{sum(metrics.stable)} of 20 members hold together" in text
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_flock_that_is_not_finite_has_a_summary() -> None:
+    nothing = np.full((3, 1), np.nan)
+    text = summary(measure(FlockConfiguration(birds=3), 0, nothing, nothing, nothing))
+    assert "does not hold together" in text
+
+
+def test_what_cannot_be_saved_alone_has_no_sign() -> None:
+    text = summary(metrics_of(FlockConfiguration(birds=1, t_max=10.0)))
+    assert "mean drag reduction  0.00 %" in text

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clock grants no more than its window, nor more than the recorder can still save."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flock_sim.core import topics
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Grant, Progress, Time
+from flock_sim.core.timekeeper import Timekeeper, new_run_id
+
+RUN = 7
+
+
+def clock(window: int = 4, record: bool = False, **flight: float) -> Timekeeper:
+    configuration = FlockConfiguration(**{"birds": 2, "t_max": 20.0, "record_every": 5, **flight})
+    return Timekeeper(configuration, RUN, window, record)
+
+
+def reach(keeper: Timekeeper, step: int, *who: str, epoch: int = 1) -> list[Grant | Time]:
+    return [
+        message for name in who for message in keeper.receive(Progress(RUN, step, epoch, name))
+    ]  # fmt: skip
+
+
+def granted(messages: list[Grant | Time]) -> list[int]:
+    return [message.step for message in messages if isinstance(message, Grant)]
+
+
+def told(keeper: Timekeeper, messages: list[Grant | Time]) -> list[int]:
+    times = [message.stamp for message in messages if isinstance(message, Time)]
+    stamps = {keeper._configuration.stamp(step): step for step in range(21)}
+    return [stamps[time] for time in times]
+
+
+BIRDS = ("bird_01", "bird_02")
+
+
+def test_nobody_may_go_before_all_are_there() -> None:
+    keeper = clock(record=True)
+    assert keeper.first_grant == Grant(RUN, 0, 20, 1.0, 1)
+    assert granted(reach(keeper, 0, "bird_01")) == []
+    assert granted(reach(keeper, 0, "bird_02")) == []
+    assert keeper.waiting_for == ["recorder"]
+    assert keeper.stage_of_run == "to begin"
+    assert granted(reach(keeper, -1, "recorder")) == [4]
+
+
+def test_leave_reaches_the_window_beyond_the_slowest_bird() -> None:
+    keeper = clock(window=4)
+    reach(keeper, 0, *BIRDS)
+    assert granted(reach(keeper, 4, "bird_01")) == []
+    assert keeper.waiting_for == ["bird_02"]
+    assert granted(reach(keeper, 2, "bird_02")) == [6]
+    assert granted(reach(keeper, 4, "bird_02")) == [8]
+
+
+def test_a_window_of_one_is_lockstep() -> None:
+    keeper = clock(window=1)
+    for step in range(20):
+        assert granted(reach(keeper, step, *BIRDS)) == [step + 1]
+
+
+def test_leave_never_goes_beyond_the_end() -> None:
+    keeper = clock(window=1000)
+    assert granted(reach(keeper, 0, *BIRDS)) == [20]
+    assert not keeper.finished
+    assert granted(reach(keeper, 20, *BIRDS)) == []
+    assert keeper.finished
+
+
+def test_leave_goes_no_further_beyond_what_is_on_disk_than_queues_hold() -> None:
+    configuration = FlockConfiguration(birds=2, t_max=1e6, record_every=5)
+    ahead = topics.steps_ahead(configuration, record_stages=False)
+    keeper = Timekeeper(configuration, RUN, 10**9, record=True)
+    reach(keeper, 0, *BIRDS)
+    assert granted(reach(keeper, -1, "recorder")) == [ahead]
+    assert granted(reach(keeper, ahead, *BIRDS)) == []
+    assert keeper.waiting_for == ["recorder"]
+    assert granted(reach(keeper, 50, "recorder")) == [50 + ahead]
+
+
+@pytest.mark.parametrize("record_stages", [False, True])
+@pytest.mark.parametrize(("birds", "members"), [(1, 1), (13, 1), (13, 500), (1000, 1)])
+@pytest.mark.parametrize("every", [1, 10])
+def test_what_may_be_under_way_fits_the_queues(
+    birds: int, members: int, every: int, record_stages: bool
+) -> None:
+    ratios = ",".join(["1.0"] * members)
+    configuration = FlockConfiguration(
+        birds=birds, record_every=every, span_ratios=(f"1={ratios}",)
+    )
+    ahead = topics.steps_ahead(configuration, record_stages)
+    # From the last step on disk to the one granted, both ends included, and a report on its way.
+    rows = ahead // every + 2
+    assert rows <= topics.depth(topics.state_topic(1), configuration)
+    assert rows <= topics.depth(topics.CLOCK_TOPIC, configuration)
+    if record_stages:
+        assert 4 * (ahead + 1) <= topics.depth(topics.stage_topic(1), configuration)
+    assert ahead >= 1
+
+
+def test_a_flight_is_over_when_its_last_record_is_on_disk() -> None:
+    keeper = clock(window=64, record=True, t_max=18.0)
+    reach(keeper, 0, *BIRDS, "recorder")
+    reach(keeper, 18, *BIRDS)
+    reach(keeper, 10, "recorder")
+    assert not keeper.finished
+    reach(keeper, 15, "recorder")  # 18 is not recorded
+    assert keeper.finished
+
+
+def test_the_time_of_every_recorded_step_is_told_once_and_in_order() -> None:
+    keeper = clock(window=64)
+    assert told(keeper, reach(keeper, 0, *BIRDS)) == [0]
+    assert told(keeper, reach(keeper, 4, *BIRDS)) == []
+    assert told(keeper, reach(keeper, 11, *BIRDS)) == [5, 10]
+    assert told(keeper, reach(keeper, 11, *BIRDS)) == []
+    assert told(keeper, reach(keeper, 20, *BIRDS)) == [15, 20]
+
+
+def test_progress_of_another_run_epoch_or_node_changes_nothing() -> None:
+    keeper = clock()
+    before = keeper.state
+    assert keeper.receive(Progress(RUN + 1, 0, 1, "bird_01")) == []
+    assert keeper.receive(Progress(RUN, 0, 2, "bird_01")) == []
+    assert keeper.receive(Progress(RUN, 0, 1, "bird_03")) == []
+    assert keeper.receive(Progress(RUN, 0, 1, "stranger")) == []
+    assert keeper.state == before
+    assert keeper.step == -1
+
+
+@given(
+    window=st.integers(1, 30),
+    record=st.booleans(),
+    every=st.integers(1, 9),
+    seed=st.integers(0, 2**32),
+)
+def test_stale_and_repeated_progress_takes_nothing_back(
+    window: int, record: bool, every: int, seed: int
+) -> None:
+    random = Random(seed)
+    keeper = clock(window=window, record=record, record_every=every)
+    who = [*BIRDS, *(["recorder"] if record else [])]
+    last = 20 - 20 % every
+    leave, reached, out = 0, dict.fromkeys(who, -1), []
+    for _ in range(2000):
+        name = random.choice(who)
+        if name == "recorder":
+            step = min(min(reached[bird] for bird in BIRDS), last)
+        else:
+            step = random.randint(reached[name], leave) if reached[name] >= 0 else 0
+        if random.random() < 0.3:  # an old message, or one that comes again
+            step = random.randint(-1, step) if name == "recorder" else random.randint(0, step)
+        messages = reach(keeper, step, name)
+        out += messages
+        reached[name] = max(reached[name], step)
+        for grant in granted(messages):
+            slowest = min(reached[bird] for bird in BIRDS)
+            assert leave < grant <= min(20, slowest + window)
+            leave = grant
+        if keeper.finished:
+            break
+    assert keeper.finished
+    assert told(keeper, out) == list(range(0, 21, every))
+
+
+def test_run_ids_are_ros_parameters_and_never_zero() -> None:
+    ids = {new_run_id() for _ in range(1000)}
+    assert len(ids) == 1000
+    assert all(0 < run_id < 2**63 for run_id in ids)
