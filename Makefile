@@ -8,7 +8,7 @@ setup:  ## build .venv and the workspace where missing or stale (all others do i
 
 demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measure them
 	@./flock fly --output runs/demo --force
-	@./flock metrics runs/demo
+
 	@./flock picture runs/demo
 	@echo
 	@echo "The bag is runs/demo, the picture of the formation is in it. The same flight without ROS, to the bit:"

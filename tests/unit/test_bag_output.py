@@ -55,7 +55,14 @@ def test_force_empties_a_bag(tmp_path: Path, names: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("thesis.tex",), ("one.mcap", "two.mcap"), (".git",), ("notes.mcap.txt",)]
+    "names",
+    [
+        ("thesis.tex",),
+        ("one.mcap", "two.mcap"),
+        (".git",),
+        ("metadata.yaml", "thesis.tex"),
+        ("notes.mcap.txt",),
+    ],
 )
 def test_force_refuses_a_directory_that_is_no_bag(tmp_path: Path, names: tuple[str, ...]) -> None:
     output = make_bag(tmp_path / "out", *names)

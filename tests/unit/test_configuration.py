@@ -226,3 +226,13 @@ def test_time_and_stamp_count_from_the_first_step():
     assert configuration.time(36) == 18.0
     assert configuration.stamp(0) == 0
     assert configuration.stamp(36) == 750_000_000
+
+
+def test_recorded_states_must_have_stamps_of_their_own():
+    with pytest.raises(FlockError, match="less than 2 ns apart"):
+        FlockConfiguration(dt=1e-10, t_max=1e-8)
+
+
+def test_more_birds_than_a_bag_has_topics_for_are_refused():
+    with pytest.raises(FlockError, match=r"birds = 20001: must be 20000 or less"):
+        FlockConfiguration(birds=20001)

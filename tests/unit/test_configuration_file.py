@@ -87,13 +87,13 @@ def test_what_is_written_is_read_back_to_the_bit(
         body_mass=body_mass,
         span_ratios=("4=" + ",".join(map(repr, ratios)),),
     )
-    content = yaml.safe_load(configuration_file.text(flown))
+    content = yaml.safe_load(configuration_file.text(flown.parameters()))
     assert list(content) == ["/**"]
     assert FlockConfiguration.from_parameters(content["/**"]["ros__parameters"]) == flown
 
 
 def test_no_empty_list_is_written_since_ros_has_no_type_for_it() -> None:
-    assert "span_ratios" not in configuration_file.text(FlockConfiguration())
+    assert "span_ratios" not in configuration_file.text(FlockConfiguration().parameters())
 
 
 @pytest.mark.parametrize(

@@ -125,14 +125,15 @@ def test_a_bird_says_nothing_before_the_first_grant():
     (wing,) = of(Channel.WING, other.receive_grant(grant(0, configuration)))
     assert bird.receive_wing(Wing.decode(wing)) == []
     out = bird.receive_grant(grant(0, configuration))
-    assert [channel for channel, _ in out] == [Channel.WING, Channel.STAGE]
+    assert [channel for channel, _ in out] == [Channel.WING, Channel.PROGRESS, Channel.STAGE]
 
 
 def test_a_bird_shows_its_wing_and_waits_for_its_neighbours():
     configuration = configured(span_ratios=("2=0.9,1.1",))
     bird = BirdProtocol(2, configuration)
-    ((channel, data),) = bird.receive_grant(grant(0, configuration))
+    (channel, data), (_, here) = bird.receive_grant(grant(0, configuration))
     assert channel is Channel.WING
+    assert Progress.decode(here) == Progress(RUN, -1, EPOCH, "bird_02")
     wing = Wing.decode(data)
     assert (wing.run_id, wing.bird, wing.span_ratio.tolist()) == (RUN, 2, [0.9, 1.1])
     assert bird.waiting_for == "the wing of bird_01, bird_03"
@@ -194,7 +195,9 @@ def test_a_bird_reports_half_way_and_where_its_leave_ends(granted, reported):
     configuration = configured(birds=1)
     bird = BirdProtocol(1, configuration)
     progress = of(Channel.PROGRESS, bird.receive_grant(grant(granted, configuration)))
-    assert [Progress.decode(data).step for data in progress] == reported
+    here, *later = (Progress.decode(data).step for data in progress)
+    assert here == -1
+    assert later == reported
 
 
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():

@@ -79,13 +79,6 @@ def test_a_last_step_long_before_the_end_of_the_bag_is_found(tmp_path: Path, ope
     assert opened(tmp_path / "run").at().step == 0
 
 
-def test_steps_far_too_short_for_a_clock_are_read(tmp_path: Path, opened: Open) -> None:
-    """Steps of less than a nanosecond all have the same stamp."""
-    configuration = replace(CONFIGURATION, dt=1e-10, t_max=6e-9)
-    record(tmp_path / "run", configuration)
-    assert opened(tmp_path / "run").at().step == 60
-
-
 def test_a_bag_that_was_torn_off_gives_what_is_whole(
     flight: Path, tmp_path: Path, opened: Open
 ) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import Grant, Progress, Time
-from flock_sim.core.timekeeper import Timekeeper, new_run_id
+from flock_sim.core.timekeeper import ABSENT, Timekeeper, new_run_id
 
 RUN = 7
 
@@ -47,7 +47,7 @@ def test_nobody_may_go_before_all_are_there() -> None:
     assert granted(reach(keeper, 0, "bird_01")) == []
     assert granted(reach(keeper, 0, "bird_02")) == []
     assert keeper.waiting_for == ["recorder"]
-    assert keeper.stage_of_run == "to begin"
+    assert keeper.where == "to begin"
     assert granted(reach(keeper, -1, "recorder")) == [4]
 
 
@@ -126,13 +126,13 @@ def test_the_time_of_every_recorded_step_is_told_once_and_in_order() -> None:
 
 def test_progress_of_another_run_epoch_or_node_changes_nothing() -> None:
     keeper = clock()
-    before = keeper.state
+    before = keeper.moves
     assert keeper.receive(Progress(RUN + 1, 0, 1, "bird_01")) == []
     assert keeper.receive(Progress(RUN, 0, 2, "bird_01")) == []
     assert keeper.receive(Progress(RUN, 0, 1, "bird_03")) == []
     assert keeper.receive(Progress(RUN, 0, 1, "stranger")) == []
-    assert keeper.state == before
-    assert keeper.step == -1
+    assert keeper.moves == before
+    assert keeper.step == ABSENT
 
 
 @given(
@@ -174,3 +174,13 @@ def test_run_ids_are_ros_parameters_and_never_zero() -> None:
     ids = {new_run_id() for _ in range(1000)}
     assert len(ids) == 1000
     assert all(0 < run_id < 2**63 for run_id in ids)
+
+
+def test_of_those_that_wait_for_each_other_only_the_absent_are_named() -> None:
+    keeper = clock(birds=5)
+    reach(keeper, -1, "bird_01", "bird_02", "bird_04", "bird_05")
+    assert keeper.waiting_for == ["bird_03"]
+    reach(keeper, -1, "bird_03")
+    reach(keeper, 0, "bird_01")
+    assert keeper.waiting_for == ["bird_02", "bird_03", "bird_04", "bird_05"]
+    assert not keeper.begun

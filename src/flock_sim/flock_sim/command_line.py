@@ -16,6 +16,10 @@ from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
 from flock_sim.errors import FlockError
 
 INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+LONGEST = 1e9
+"""The longest time, in s, that anybody may be told to wait."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -87,13 +91,13 @@ def whole_number(name: str, text: str, least: int, most: int | None = None) -> i
 
 
 def positive_number(name: str, text: str) -> float:
-    """Return `text` as a finite number above 0. Raises FlockError otherwise."""
+    """Return `text` as a number of seconds above 0. Raises FlockError otherwise."""
     try:
         value = float(text)
     except ValueError:
         value = -1.0
-    if not 0.0 < value < float("inf"):
-        raise FlockError(f"{name} {text}: must be a finite number above 0")
+    if not 0.0 < value <= LONGEST:
+        raise FlockError(f"{name} {text}: must be a finite number above 0, {LONGEST:g} at most")
     return value
 
 
@@ -120,4 +124,4 @@ def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | No
     except BrokenPipeError:
         # Whoever read our output has enough; nothing more can be said on it.
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (for what is left in its buffer)
-        return 0
+        return BROKEN_PIPE

@@ -3,22 +3,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.configuration import nearest
 from flock_sim.errors import FlockError
 
 SECTION = "/**"
 PARAMETERS = "ros__parameters"
 
 
+class _Loader(yaml.SafeLoader):
+    """A safe loader that does not let the last of two equal keys win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                mark = node.start_mark
+                raise yaml.constructor.ConstructorError(None, None, f"{key!r} is given twice", mark)
+        return super().construct_mapping(node, deep)
+
+
 def read(path: Path) -> dict[str, Any]:
     """Return the parameters in `path`, unchecked. Raises FlockError if it is no parameter file."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise FlockError(
@@ -40,11 +53,12 @@ def read(path: Path) -> dict[str, Any]:
     return {str(key): value for key, value in parameters.items()}
 
 
-def text(configuration: FlockConfiguration) -> str:
-    """Return `configuration` as the text of a configuration file, every key given."""
-    values = configuration.parameters()
-    if not values["span_ratios"]:
-        del values["span_ratios"]  # rcl gives an empty list no type
+def text(parameters: Mapping[str, Any]) -> str:
+    """Return the text of a parameter file with `parameters`, but for empty lists.
+
+    rcl gives an empty list no type, and so no place; leaving it out says the same.
+    """
+    values = {key: value for key, value in parameters.items() if value != []}
     return str(yaml.safe_dump({SECTION: {PARAMETERS: values}}, sort_keys=False))
 
 

@@ -10,8 +10,10 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 
+from flock_sim import configuration_file
 from flock_sim.errors import RunFailed
 from flock_sim.shared_memory import remove_orphans
 
@@ -31,18 +33,27 @@ class _Hand:
 class Crew:
     """A group of node processes; leaving the context ends those that still run."""
 
-    def __init__(self, arguments: list[str]) -> None:
-        """Give `arguments`, ROS arguments, to every process."""
-        self._arguments = arguments
+    def __init__(self, parameters: Path) -> None:
+        """Give every process the file `parameters`; beside it, each gets one of its own."""
+        self._parameters = parameters
         self._hands: list[_Hand] = []
 
     def start(self, who: str, module: str, parameters: Mapping[str, object]) -> None:
         """Start `module` with ROS `parameters`; `who` is what it is called in messages."""
-        command = [sys.executable, "-P", "-m", module, "--ros-args", *self._arguments]
-        for key, value in parameters.items():
-            command += ["-p", f"{key}:={value}"]
+        # In a file: on the command line, ROS would read the values as YAML.
+        own = self._parameters.with_name(f"{len(self._hands)}.yaml")
+        own.write_text(configuration_file.text(parameters), encoding="utf-8")
+        command = [sys.executable, "-P", "-m", module, "--ros-args", "--disable-external-lib-logs"]
+        for file in (self._parameters, own):
+            command += ["--params-file", str(file)]
         environment = {**os.environ, SUPERVISED: str(os.getpid())}
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
+        # Ctrl-C is for us to act on. The new process inherits that it is deaf to it: told to by its
+        # own first lines, it would complain of the imports before them that are cut short.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         self._hands.append(_Hand(who, process))
 
     def check(self) -> None:

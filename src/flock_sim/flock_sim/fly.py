@@ -29,14 +29,17 @@ from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration, nearest
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
 from flock_sim.crew import Crew
+from flock_sim.discovery import own_domain, prepare_discovery
 from flock_sim.errors import FlockError
+from flock_sim.nodes import EXECUTORS
 from flock_sim.progress import progress_bar
 from flock_sim.report import add_output_options, output_directory, report
 
-EXECUTORS = ("events", "single")
-
 PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
+
+JOIN_LIMIT = 60.0
+"""How long, in s, the others may take to end after the flight has."""
 
 EXAMPLES = """\
   ./flock fly                                         thirteen geese to their steady state
@@ -62,12 +65,15 @@ def tool(arguments: Sequence[str]) -> int:
     """Fly a flock over ROS 2, record it, and say what came of it."""
     options = _parser().parse_args(arguments)
     plan = _plan(options)
-    signal.signal(signal.SIGTERM, _terminated)
-    if plan.output is not None:
-        claim_output(plan.output, options.force)
-        note(f"recording to {plan.output}")
-    begun = time.monotonic()
-    steps_per_second = _fly(plan)
+    prepare_discovery()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _terminated)
+    with own_domain():
+        if plan.output is not None:
+            claim_output(plan.output, options.force)
+            note(f"recording to {plan.output}")
+        begun = time.monotonic()
+        steps_per_second = _fly(plan)
     flight = {
         "steps_per_second": steps_per_second,
         "wall_seconds": time.monotonic() - begun,
@@ -126,19 +132,20 @@ def _fly(plan: Plan) -> float:
     run_id = new_run_id()
     with tempfile.TemporaryDirectory(prefix="flock-") as directory:
         parameters = Path(directory) / "flock.yaml"
-        parameters.write_text(configuration_file.text(configuration), encoding="utf-8")
+        flown = configuration_file.text(configuration.parameters())
+        parameters.write_text(flown, encoding="utf-8")
         common = {
             "run_id": run_id,
             "executor": plan.executor,
             "timeout": plan.timeout + PATIENCE_OF_CREW,
         }
-        with Crew(["--params-file", str(parameters), "--disable-external-lib-logs"]) as crew:
+        with Crew(parameters) as crew:
             if plan.output is not None:
-                stages = {"record_stages": str(plan.record_stages).lower()}
-                output = {"output": plan.output.absolute()}
-                crew.start(
-                    "the recorder", "flock_sim.nodes.recorder", {**common, **output, **stages}
-                )
+                output = {
+                    "output": str(plan.output.absolute()),
+                    "record_stages": plan.record_stages,
+                }
+                crew.start("the recorder", "flock_sim.nodes.recorder", {**common, **output})
             for birds in _shares(configuration.birds, plan.processes):
                 crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
             return _keep_time(plan, run_id, crew)
@@ -150,14 +157,13 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
     import rclpy
 
     from flock_sim.nodes.clock import ClockNode, keep_time
+    from flock_sim.nodes.patience import Patience
     from flock_sim.nodes.process import executing, ros_context
 
     configuration = plan.configuration
     keeper = Timekeeper(
         configuration, run_id, plan.window, plan.output is not None, plan.record_stages
     )
-    begun: list[float] = []
-
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     try:
         with (
@@ -166,21 +172,18 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
         ):
 
             def watch() -> None:
-                if keeper.begun and not begun:
-                    begun.append(time.monotonic())
                 show(keeper.step)
                 crew.check()
 
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
             clock = ClockNode(keeper, depth, context=context)
             executor.add_node(clock)
-            keep_time(clock, executor, plan.timeout, watch)
-            ended = time.monotonic()
+            seconds = keep_time(clock, executor, Patience(plan.timeout, note), watch)
             watch()
-            crew.join(plan.timeout)
+            crew.join(JOIN_LIMIT)
     finally:
         rclpy.try_shutdown(context=context)
-    return configuration.steps / max(ended - begun[0], 1e-9)
+    return configuration.steps / seconds
 
 
 def _shares(birds: int, processes: int) -> list[list[int]]:

@@ -50,7 +50,6 @@ class Run:
         """Open the bag at `path`. Raises FlockError if it is missing, empty or foreign."""
         self.path = Path(path)
         self.bag = BagReader(self.path)
-        self.missing = self.bag.missing
         try:
             self.configuration = configuration_of(self.bag.metadata(CONFIGURATION_RECORD))
         except (KeyError, ValueError, FlockError) as error:
@@ -59,6 +58,18 @@ class Run:
                 f"{self.path}: not a bag of Flock's (no configuration that can be read: {error}); "
                 "name a directory that fly or reference wrote"
             ) from error
+
+        self.missing = self.bag.missing or self._cut_short()
+
+    def _cut_short(self) -> str | None:
+        """Return what a flight that was ended before its time lacks, though its bag is whole."""
+        flown = self.configuration
+        last = flown.steps - flown.steps % flown.record_every
+        reached = self.bag.last_time
+        if reached is None or reached >= flown.stamp(last):
+            return None
+        time = reached / (flown.second * 1e9)
+        return f"{self.path}: the flight was ended at t = {time:.6g} of {flown.t_max:g}"
 
     def close(self) -> None:
         """Close the bag; a second call does nothing."""
@@ -121,6 +132,7 @@ class Run:
         every = configuration.record_every * configuration.dt
         if not np.isfinite(time):
             raise FlockError(f"time {time}: must be finite; leave it out for the last recorded one")
+        time = min(max(time, -every), configuration.t_max + every)  # beyond, there are no stamps
         step = round(time / every) * configuration.record_every
         if abs(configuration.time(step) - time) <= 1e-9 * max(every, abs(time)):
             for snapshot in self.snapshots(configuration.stamp(step)):

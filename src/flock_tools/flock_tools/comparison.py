@@ -15,6 +15,7 @@ import numpy.typing as npt
 from flock_sim.core import topics
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.messages import BILLION, State
+from flock_sim.errors import FlockError
 from flock_sim.run import ARRAYS, Run
 from flock_tools.difference import Difference, distance, other_bits
 from flock_tools.pairing import pairs
@@ -103,6 +104,12 @@ def compare(
         if result.messages % BLOCK == 0:
             show(step_of(left))
     states.finish()
+    if result.messages == 0 and result.equal:
+        empty = [str(run.path) for run in (first, second) if run.bag.last_time is None]
+        raise FlockError(
+            f"{' and '.join(empty) or 'the runs'}: no state that both could have; "
+            "name bags of flights that began"
+        )
     return result
 
 

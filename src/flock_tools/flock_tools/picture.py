@@ -11,6 +11,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from flock_sim.bag.output import PICTURE_FILE
 from flock_sim.command_line import Parser, note, run_tool, whole_number
 from flock_sim.errors import FlockError
 from flock_sim.run import Run
@@ -79,7 +80,7 @@ def _output(options: argparse.Namespace) -> Path:
     if options.output is not None:
         return Path(options.output)
     run = Path(options.run)
-    return (run if run.is_dir() else run.parent) / "formation.png"
+    return (run if run.is_dir() else run.parent) / PICTURE_FILE
 
 
 def main() -> int:

@@ -5,16 +5,20 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from flock_sim.bag.rosbag2_metadata import METADATA_FILE
+from flock_sim.bag.reserve import RESERVE_FILE
+from flock_sim.bag.rosbag2_metadata import METADATA_FILE, PART_FILE
 from flock_sim.errors import FlockError
+
+PICTURE_FILE = "formation.png"
+"""The picture that may lie beside a bag."""
 
 
 def claim_output(path: str | Path, force: bool) -> None:
     """Make `path` an empty directory, for `BagWriter` to fill; its parents are made too.
 
     What exists is refused, unless `force` is set and it is an empty directory or a bag: a
-    directory without subdirectories that holds metadata.yaml or, where a run was cut short, one
-    .mcap file. Then its files are removed.
+    directory that holds metadata.yaml or, where a run was cut short, one .mcap file, and nothing
+    that a bag's does not hold. Then its files are removed.
 
     Raises FlockError when it is refused or can't be written; nothing has changed then.
     """
@@ -45,6 +49,14 @@ def _make(directory: Path) -> None:
         raise
 
 
+def _of_a_bag(name: str) -> bool:
+    """Whether a bag's directory, and the pictures drawn into it, may have a file of this name."""
+    return (
+        name in (METADATA_FILE, PART_FILE, RESERVE_FILE, PICTURE_FILE)
+        or Path(name).suffix == ".mcap"
+    )
+
+
 def _empty(directory: Path) -> None:
     if not directory.is_dir():
         raise FlockError(
@@ -53,10 +65,9 @@ def _empty(directory: Path) -> None:
         )
     entries = list(directory.iterdir())
     names = {entry.name for entry in entries}
-    recordings = sum(name.endswith(".mcap") for name in names)
-    is_bag = METADATA_FILE in names or recordings == 1
+    is_bag = METADATA_FILE in names or sum(name.endswith(".mcap") for name in names) == 1
     plain = all(entry.is_symlink() or entry.is_file() for entry in entries)
-    if entries and not (is_bag and plain):
+    if entries and not (is_bag and plain and all(map(_of_a_bag, names))):
         raise FlockError(
             f"output {directory} is not a bag (it holds other things), and --force replaces only"
             " a bag: name another --output"

@@ -7,6 +7,8 @@ from pathlib import Path
 
 _STEP = 64 * 1024  # bytes; grows rarely, so that a chunk rarely pays for it
 
+RESERVE_FILE = ".reserve"
+
 
 class Reserve:
     """A file of allocated, unused space: `hold` before the space is needed, `free` to use it."""

@@ -10,6 +10,7 @@ from flock_sim.bag.layout import Written
 from flock_sim.bag.topic import Topic
 
 METADATA_FILE = "metadata.yaml"
+PART_FILE = f"{METADATA_FILE}.part"  # what it is called while it is written
 _NO_MESSAGE = 2**63 - 1  # rosbag2's starting time of a bag without messages
 
 

@@ -14,8 +14,8 @@ from flock_sim.bag.append_file import AppendFile
 from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS, MESSAGE_OPCODE, seal
 from flock_sim.bag.definitions import Definition, installed_definition
 from flock_sim.bag.layout import Layout, Written
-from flock_sim.bag.reserve import Reserve
-from flock_sim.bag.rosbag2_metadata import METADATA_FILE, metadata_yaml
+from flock_sim.bag.reserve import RESERVE_FILE, Reserve
+from flock_sim.bag.rosbag2_metadata import METADATA_FILE, PART_FILE, metadata_yaml
 from flock_sim.bag.topic import Topic
 from flock_sim.errors import FlockError, RunFailed
 
@@ -83,7 +83,7 @@ class BagWriter:
         self._closed = False
 
         self.path = self.directory / f"{self.directory.resolve().name}_0.mcap"
-        self._reserve = Reserve(self.directory / ".reserve")
+        self._reserve = Reserve(self.directory / RESERVE_FILE)
         self._reserved = len(self._layout.head) + len(self._metadata_text()) + _SLACK
         self._begin()
 
@@ -204,7 +204,7 @@ class BagWriter:
             ) from error
 
     def _complete(self) -> None:
-        part = self.directory / f"{METADATA_FILE}.part"
+        part = self.directory / PART_FILE
         try:
             self._reserve.free()
             self._file.append(self._layout.tail(self._written, self._file.size, self._file.crc))

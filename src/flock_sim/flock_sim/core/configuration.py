@@ -24,6 +24,12 @@ COUPLINGS = ("nearest", "all")
 # How close t_max / dt must be to a whole number: decimals such as 1000 / 0.01 are off by rounding.
 STEP_TOLERANCE = 1e-12
 
+MOST_BIRDS = 20000
+"""What the topics of a bag can be numbered for."""
+
+LEAST_ROW = 2.0
+"""Least time between recorded states, in ns: their stamps must differ."""
+
 LAST_SECOND = 2.0**31
 """What the 32 bits of a ROS time stamp can't hold any more, in s."""
 
@@ -87,9 +93,12 @@ class FlockConfiguration:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
-        for name in ("birds", "record_every"):
-            if getattr(self, name) < 1:
-                raise FlockError(f"{name} = {getattr(self, name)}: must be 1 or more")
+        for name, most in (("birds", MOST_BIRDS), ("record_every", 2**53)):
+            value = getattr(self, name)
+            if value < 1:
+                raise FlockError(f"{name} = {value}: must be 1 or more")
+            if value > most:
+                raise FlockError(f"{name} = {value}: must be {most} or less")
         if self.coupling not in COUPLINGS:
             raise FlockError(f"coupling = {self.coupling!r}: {nearest(self.coupling, COUPLINGS)}")
         for field in fields(self):
@@ -117,6 +126,11 @@ class FlockConfiguration:
             raise FlockError(
                 f"t_max = {self.t_max:g}: must be below {LAST_SECOND / self.second:.6g}, where "
                 "the seconds of ROS time end"
+            )
+        if self.record_every * self.dt * self.second * 1e9 < LEAST_ROW:
+            raise FlockError(
+                f"dt = {self.dt:g} and record_every = {self.record_every}: states are recorded "
+                f"less than {LEAST_ROW:g} ns apart; raise one of them"
             )
         self.span_ratio  # noqa: B018  (read once, so that a bad one is refused here)
 

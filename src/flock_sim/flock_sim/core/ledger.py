@@ -81,17 +81,17 @@ class Ledger:
     def add_state(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
         step = State.step_of(data)
-        states = self._row(step).states if self._due(step) else {bird: b""}
-        if bird in states:
+        if not self._due(step) or bird in self._row(step).states:
             self.ignored += 1
             return []
-        states[bird] = data
+        self._row(step).states[bird] = data
         return self._complete()
 
     def add_time(self, data: bytes) -> list[Row]:
         """Take a message of /clock; return the rows that are complete with it."""
         stamp = Time.decode(data).stamp
-        step = round(stamp / (self._configuration.dt * self._configuration.second * 1e9))
+        row_of_time = self._every * self._configuration.dt * self._configuration.second * 1e9
+        step = round(stamp / row_of_time) * self._every
         if not self._due(step) or self._configuration.stamp(step) != stamp:
             self.ignored += 1
             return []

@@ -53,7 +53,7 @@ class BirdProtocol:
     >>> bird = BirdProtocol(1, FlockConfiguration(birds=1, t_max=2.0, record_every=1))
     >>> out = bird.receive_grant(Grant(run_id=7, step=2, end=2, dt=1.0, epoch=1))
     >>> [channel.value for channel, _ in out if channel is not Channel.STAGE]
-    ['wing', 'state', 'state', 'progress', 'state', 'progress']
+    ['wing', 'progress', 'state', 'state', 'progress', 'state', 'progress']
     """
 
     def __init__(self, bird: int, configuration: FlockConfiguration, run_id: int = 0) -> None:
@@ -193,7 +193,7 @@ class BirdProtocol:
         self._grant(grant.step)
         self._lacking, self._lacking_next = self._expected(0), self._expected(1)
         wing = Wing(self.run_id, self.bird, self._wings[self.bird])
-        out = [(Channel.WING, wing.encode())]
+        out = [(Channel.WING, wing.encode()), self._progress(-1)]
         if not self.neighbours:
             out += self._take_off()
         for early in self._early_wings:
@@ -273,9 +273,13 @@ class BirdProtocol:
         if step % self._configuration.record_every == 0:
             out.append((Channel.STATE, self._state(step, words).encode()))
         if step >= self._granted or step == self._report_at:
-            progress = Progress(self.run_id, step, self._epoch, bird_name(self.bird))
-            out.append((Channel.PROGRESS, progress.encode()))
+            out.append(self._progress(step))
         return out
+
+    def _progress(self, step: int) -> Outgoing:
+        """Return the report of having reached `step`; -1: here, and not yet at the start."""
+        progress = Progress(self.run_id, step, self._epoch, bird_name(self.bird))
+        return Channel.PROGRESS, progress.encode()
 
     def _state(self, step: int, words: FloatArray) -> State:
         position, speed, circulation = stage_numbers(words, self._members)

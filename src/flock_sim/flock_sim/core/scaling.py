@@ -148,14 +148,15 @@ class BirdCoefficients:
     @classmethod
     def of(cls, scales: Scales, span_ratio: FloatArray) -> BirdCoefficients:
         """Return the coefficients of a bird of `span_ratio` lambda, shape (members,)."""
-        square = span_ratio * span_ratio
-        return cls(
-            mass=square * span_ratio * scales.mass_ratio,
-            thrust=square * square * scales.cruise_drag,
-            profile_drag=square * scales.drag_coefficient_k,
-            induced_drag=square * square * scales.drag_coefficient_k,
-            circulation=square * scales.circulation_min,
-        )
+        with np.errstate(over="ignore"):  # a member beyond all numbers is its own affair
+            square = span_ratio * span_ratio
+            return cls(
+                mass=square * span_ratio * scales.mass_ratio,
+                thrust=square * square * scales.cruise_drag,
+                profile_drag=square * scales.drag_coefficient_k,
+                induced_drag=square * square * scales.drag_coefficient_k,
+                circulation=square * scales.circulation_min,
+            )
 
     def rows(self) -> FloatArray:
         """Return the coefficients as the kernels take them, shape (5, members)."""

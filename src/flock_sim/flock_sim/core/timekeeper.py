@@ -15,7 +15,8 @@ from flock_sim.core.messages import Grant, Progress, Time
 from flock_sim.core.topics import RECORDER, bird_name, steps_ahead
 
 ABSENT = -2
-"""The step of somebody who has not been heard of; -1 is a recorder that has recorded nothing."""
+"""The step of somebody who has not been heard of. -1 is a bird that is there and has not heard its
+neighbours, or a recorder that is there and has recorded nothing."""
 
 
 def new_run_id() -> int:
@@ -48,7 +49,7 @@ class Timekeeper:
         self.run_id = run_id
         self.epoch = 1
         self.step = ABSENT
-        """The step that every bird has reached; ABSENT before all are there."""
+        """The step that every bird has reached; below 0 before they have heard each other."""
         self.moves = 0
         """How often anybody has moved: a run in which this stays stands still."""
         birds = (bird_name(bird) for bird in range(1, configuration.birds + 1))
@@ -71,8 +72,8 @@ class Timekeeper:
 
     @property
     def begun(self) -> bool:
-        """Whether all are there."""
-        return ABSENT not in self._reached.values()
+        """Whether all are there, and every bird has heard its neighbours."""
+        return self.step >= 0 and ABSENT not in self._reached.values()
 
     @property
     def where(self) -> str:
@@ -82,9 +83,10 @@ class Timekeeper:
     @property
     def waiting_for(self) -> list[str]:
         """Who has to move before the run can go on."""
-        if not self.begun:
-            return [name for name, step in self._reached.items() if step == ABSENT]
-        if self.step < self._granted:
+        absent = [name for name, step in self._reached.items() if step == ABSENT]
+        if absent:
+            return absent
+        if self.step < max(self._granted, 1):
             return [name for name, step in self._birds() if step == self.step]
         return [RECORDER] if self._record else []
 
@@ -92,7 +94,6 @@ class Timekeeper:
         """Take somebody's progress; what is not of this run, or not new, changes nothing."""
         if progress.run_id != self.run_id or progress.epoch != self.epoch:
             return []
-        # The recorder has nothing on disk when it joins; a bird is at the start.
         if progress.step <= self._reached.get(progress.who, progress.step):
             return []
         self._reached[progress.who] = progress.step

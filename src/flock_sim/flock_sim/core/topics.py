@@ -14,6 +14,10 @@ PROGRESS_TOPIC = f"{NAMESPACE}/progress"
 RECORDER = "recorder"
 
 GRANT_DEPTH = 1000
+
+RARE_DEPTH = 10
+"""Of what a bird hears seldom: room for others on the same topics, whose messages it ignores."""
+
 STAGE_DEPTH = 128
 """Stages that a bird keeps for a listener that is slow; neighbours need two, a recorder more."""
 

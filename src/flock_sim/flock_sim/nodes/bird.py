@@ -7,17 +7,15 @@ import sys
 from collections.abc import Callable
 
 from rclpy.context import Context
-from rclpy.duration import Duration
 
 from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
-from flock_sim.command_line import note
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.drain import fly
-from flock_sim.nodes.endpoints import DrainedNode, latched
-from flock_sim.nodes.process import Process, executing, run_node
+from flock_sim.errors import FlockError
+from flock_sim.nodes.drain import keep_flying
+from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
+from flock_sim.nodes.process import Process, Stop, executing, run_node
 
 
 class BirdNode(DrainedNode):
@@ -54,9 +52,9 @@ class BirdNode(DrainedNode):
         self._publish: dict[Channel, Callable[[bytes], None]] = {
             channel: outlet.publish for channel, outlet in self._outlets.items()
         }
-        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC, 1)
+        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC, topics.RARE_DEPTH)
         self._wings = {
-            other: self.subscribe_drained(BirdWing, topics.wing_topic(other), 1)
+            other: self.subscribe_drained(BirdWing, topics.wing_topic(other), topics.RARE_DEPTH)
             for other in self.protocol.neighbours
         }
         self._stages = {
@@ -78,16 +76,15 @@ class BirdNode(DrainedNode):
     def drain_rare(self) -> bool:
         """Take leave and, before the flight, wings; return whether any came."""
         moved = False
-        data = self._grants.take()
-        if data is not None:
+        while (data := self._grants.take()) is not None:
             moved = True
             self._send(self.protocol.receive_grant(messages.Grant.decode(data)))
-        if not self.protocol.in_flight:
-            for inlet in self._wings.values():
-                data = inlet.take()
-                if data is not None:
-                    moved = True
-                    self._send(self.protocol.receive_wing(messages.Wing.decode(data)))
+        if self.protocol.in_flight:
+            return moved
+        for inlet in self._wings.values():
+            while (data := inlet.take()) is not None:
+                moved = True
+                self._send(self.protocol.receive_wing(messages.Wing.decode(data)))
         return moved
 
     @property
@@ -100,14 +97,10 @@ class BirdNode(DrainedNode):
         """What the bird needs to go on, in words."""
         return f"{self.get_name()} waits for {self.protocol.waiting_for}"
 
-    def farewell(self, timeout: float) -> None:
-        """Wait until everybody who listens has all that was said. Raises RunFailed otherwise."""
-        for channel, outlet in self._outlets.items():
-            if not outlet.wait_for_all_acked(Duration(seconds=timeout)):
-                raise RunFailed(
-                    f"{self.get_name()}: after {timeout:g} s somebody still lacks its last "
-                    f"{channel.value} message; raise `timeout` if the network is slow"
-                )
+    def farewell(self, stop: Stop) -> None:
+        """Wait until everybody who listens has all that was said, or `stop`."""
+        for outlet in self._outlets.values():
+            wait_until_heard(outlet, stop)
 
     def _send(self, outgoing: list[Outgoing]) -> None:
         for channel, data in outgoing:
@@ -136,11 +129,9 @@ def work(process: Process) -> None:
         ]
         for bird in birds:
             executor.add_node(bird)
-        say = (lambda line: None) if process.supervised else note
-        fly(birds, executor, process.stop, operation["timeout"], say)
-        if not process.stop:
-            for bird in birds:
-                bird.farewell(operation["timeout"])
+        keep_flying(birds, executor, process.stop, process.patience())
+        for bird in birds:
+            bird.farewell(process.stop)
 
 
 _main = run_node(

@@ -8,21 +8,17 @@ import time
 from collections.abc import Callable
 
 from rclpy.context import Context
-from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import Grant, Progress
-from flock_sim.command_line import note
 from flock_sim.core import messages, topics
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
-from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.endpoints import latched
+from flock_sim.nodes.endpoints import latched, wait_until_heard
+from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, run_node
-
-SAY_AFTER = 5.0
-"""Standstill, in s, after which the clock says whom it waits for."""
+from flock_sim.stop import Stop
 
 WAIT = 0.05
 """How long the clock waits for news at a time, in s."""
@@ -46,10 +42,10 @@ class ClockNode(Node):
         )
         self._send(keeper.first_grant)
 
-    def farewell(self, timeout: float) -> None:
-        """Wait until everybody who listens has the last leave and time."""
+    def farewell(self, stop: Stop) -> None:
+        """Wait until everybody who listens has the last leave and time, or `stop`."""
         for outlet in self._outlets.values():
-            outlet.wait_for_all_acked(Duration(seconds=timeout))
+            wait_until_heard(outlet, stop)
 
     def _hear(self, data: bytes) -> None:
         for message in self.keeper.receive(messages.Progress.decode(data)):
@@ -60,41 +56,30 @@ class ClockNode(Node):
 
 
 def keep_time(
-    clock: ClockNode,
-    executor: Executor,
-    timeout: float,
-    watch: Callable[[], object],
-) -> None:
+    clock: ClockNode, executor: Executor, patience: Patience, watch: Callable[[], object]
+) -> float:
     """Serve `clock` until its run is finished or `watch`, called every WAIT or so, is true.
 
-    Says who is waited for when the flock stands
-    still, and raises RunFailed where it did for `timeout` s.
+    Returns how long, in s, the run took since all were there. Raises RunFailed when `patience` runs
+    out in a flock that stands still.
     """
     keeper = clock.keeper
     moves = -1
-    moved = watched = time.monotonic()
-    said: list[str] = []
+    begun = watched = time.monotonic()
     while not keeper.finished:
-        now = time.monotonic()
-        if now - watched >= WAIT:
-            watched = now
+        if time.monotonic() - watched >= WAIT:
+            watched = time.monotonic()
             if watch():
-                return
+                break
+        if not keeper.begun:
+            begun = time.monotonic()
         executor.spin_once(timeout_sec=WAIT)
         if keeper.moves != moves:
-            moves, moved, said = keeper.moves, now, []
-            continue
-        silence = now - moved
-        if silence < SAY_AFTER:
-            continue
-        waits = f"waiting for {listing(keeper.waiting_for)} ({keeper.where})"
-        if silence > timeout:
-            raise RunFailed(
-                f"no progress for {timeout:g} s, {waits}: start what is missing, or raise --timeout"
-            )
-        if said != keeper.waiting_for:
-            said = keeper.waiting_for
-            note(f"{waits}, for {timeout - silence:.0f} s more")
+            moves = keeper.moves
+            patience.renew()
+        else:
+            patience.wait(lambda: f"waiting for {listing(keeper.waiting_for)} ({keeper.where})")
+    return time.monotonic() - begun
 
 
 def listing(names: list[str], most: int = 8) -> str:
@@ -106,8 +91,6 @@ def listing(names: list[str], most: int = 8) -> str:
 def work(process: Process) -> None:
     """Be the clock of one run."""
     operation = process.operation
-    if operation["window"] < 1:
-        raise FlockError(f"window = {operation['window']}: must be 1 or more")
     keeper = Timekeeper(
         process.configuration,
         operation["run_id"] or new_run_id(),
@@ -119,9 +102,8 @@ def work(process: Process) -> None:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
         clock = ClockNode(keeper, depth, context=process.context)
         executor.add_node(clock)
-        keep_time(clock, executor, operation["timeout"], lambda: process.stop)
-        if not process.stop:
-            clock.farewell(operation["timeout"])
+        keep_time(clock, executor, process.patience(), lambda: process.stop)
+        clock.farewell(process.stop)
 
 
 _main = run_node(

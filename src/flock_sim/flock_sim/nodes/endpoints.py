@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+
+from flock_sim.stop import Stop
 
 
 def latched(depth: int) -> QoSProfile:
@@ -22,6 +27,21 @@ def latched(depth: int) -> QoSProfile:
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
     )
+
+
+FAREWELL = 10.0
+"""Longest wait, in s, for listeners to take what was last said to them."""
+
+
+def wait_until_heard(outlet: Publisher, stop: Stop) -> None:
+    """Wait until all who listen to `outlet` have its messages; FAREWELL at most, or until `stop`.
+
+    Whoever has not taken them by then, a suspended `ros2 topic echo` say, is left behind.
+    """
+    deadline = time.monotonic() + FAREWELL
+    while not stop and time.monotonic() < deadline:
+        if outlet.wait_for_all_acked(Duration(seconds=0.1)):
+            return
 
 
 class DrainedNode(Node):

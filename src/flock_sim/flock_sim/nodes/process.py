@@ -21,15 +21,17 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from flock_sim.command_line import Parser, note, positive_number, run_tool
+from flock_sim.command_line import Parser, note, positive_number, run_tool, whole_number
 from flock_sim.core.configuration import MEANING, FlockConfiguration, nearest
 from flock_sim.crew import SUPERVISED
+from flock_sim.discovery import prepare_discovery
 from flock_sim.errors import FlockError
+from flock_sim.nodes import EXECUTORS
+from flock_sim.nodes.patience import Patience
 from flock_sim.shared_memory import remove_orphans
+from flock_sim.stop import Stop
 
 # How a node operates, as opposed to what is flown: any of the nodes may be given any of these.
-EXECUTORS = ("events", "single")
-
 OPERATION: dict[str, Any] = {
     "index": 0,
     "indices": [],
@@ -49,31 +51,6 @@ OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 PR_SET_PDEATHSIG = 1
 
 
-class Stop:
-    """Whether somebody wants this process to end: Ctrl-C, or a polite kill.
-
-    A flag rather than an exception, so that nothing is cut off half way; the loops of the nodes
-    look at it. The ROS context stays valid, so that what is on its way can still be sent.
-    """
-
-    def __init__(self, heed_interrupt: bool) -> None:
-        """Listen to SIGTERM and, with `heed_interrupt`, to SIGINT."""
-        self.signal = 0
-        for number in (signal.SIGTERM, *((signal.SIGINT,) if heed_interrupt else ())):
-            signal.signal(number, self._hear)
-
-    def __bool__(self) -> bool:
-        return self.signal != 0
-
-    @property
-    def exit_status(self) -> int:
-        """What a shell expects of a process that ended for this reason; 0 without one."""
-        return 128 + self.signal if self else 0
-
-    def _hear(self, number: int, frame: object) -> None:
-        self.signal = number
-
-
 @dataclass(frozen=True)
 class Process:
     """What a node process was asked to do, and the ROS context that it does it in."""
@@ -83,6 +60,10 @@ class Process:
     context: Context
     stop: Stop
     supervised: bool
+
+    def patience(self) -> Patience:
+        """Return how long this process waits: silently under `fly`, whose clock speaks for it."""
+        return Patience(self.operation["timeout"], (lambda line: None) if self.supervised else note)
 
 
 @contextmanager
@@ -99,9 +80,7 @@ def executing(kind: str, context: Context) -> Iterator[Executor]:
 
 
 def make_executor(kind: str, context: Context) -> Executor:
-    """Return an executor: "events" (where rclpy has it) or "single". Raises FlockError."""
-    if kind not in EXECUTORS:
-        raise FlockError(f"executor {kind!r}: {nearest(kind, EXECUTORS)}")
+    """Return an executor: "events" (where rclpy has it) or "single"."""
     if kind == "events":
         try:
             from rclpy.experimental import EventsExecutor
@@ -113,11 +92,7 @@ def make_executor(kind: str, context: Context) -> Executor:
 
 
 def ros_context(arguments: Sequence[str]) -> Context:
-    """Return an initialised ROS context that leaves signals to us.
-
-    Unless the environment says otherwise, others are looked for on this machine only.
-    """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    """Return an initialised ROS context that leaves signals to us."""
     context = Context()
     rclpy.init(
         args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
@@ -142,6 +117,7 @@ def run_node(
         stop = Stop(heed_interrupt=not supervised)
         if supervised:
             _follow_parent()
+        prepare_discovery()
         context = ros_context(arguments)
         try:
             configuration, operation = _parameters(name, context)
@@ -210,7 +186,19 @@ def _parameters(name: str, context: Context) -> tuple[FlockConfiguration, dict[s
                     f"unknown parameter {key!r}: {nearest(key, [*MEANING, *OPERATION])}"
                 )
             flown[key] = value
+    _check(operation)
     return FlockConfiguration.from_parameters(flown), operation
+
+
+def _check(operation: Mapping[str, Any]) -> None:
+    """Raise FlockError where the operation of a node is out of range."""
+    positive_number("timeout", str(operation["timeout"]))
+    for key, least in (("window", 1), ("run_id", 0)):
+        whole_number(key, str(operation[key]), least)
+    if operation["executor"] not in EXECUTORS:
+        raise FlockError(
+            f"executor {operation['executor']!r}: {nearest(operation['executor'], EXECUTORS)}"
+        )
 
 
 def _like(key: str, value: Any, default: Any) -> Any:

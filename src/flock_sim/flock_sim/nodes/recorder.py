@@ -8,29 +8,28 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from rclpy.context import Context
-from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
 from flock_sim.bag.output import claim_output
-from flock_sim.command_line import note
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
-from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.endpoints import DrainedNode, Inlet, latched
-from flock_sim.nodes.process import Process, Stop, executing, run_node
+from flock_sim.errors import FlockError
+from flock_sim.nodes.endpoints import DrainedNode, Inlet, latched, wait_until_heard
+from flock_sim.nodes.patience import Patience
+from flock_sim.nodes.process import Process, executing, run_node
 from flock_sim.recording import Recording, recording
+from flock_sim.stop import Stop
 
 WAIT = 0.004
 """How long the recorder rests when nothing came, in s: many messages are cheaper at a time."""
 
 LINGER = 0.5
 """How long, in s, a row that is complete may stay off the disk when no others follow."""
-
-SAY_AFTER = 5.0
 
 
 class RecorderNode(DrainedNode):
@@ -54,6 +53,7 @@ class RecorderNode(DrainedNode):
             enable_rosout=False,
         )
         self.ledger = Ledger(configuration, record_stages)
+        self._configuration = configuration
         self._run = run
         self._run_id = run_id
         self._epoch = 0
@@ -68,7 +68,7 @@ class RecorderNode(DrainedNode):
         self._times = self._inlet(Clock, topics.CLOCK_TOPIC, configuration)
         birds = range(1, configuration.birds + 1)
         sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
-            (BirdWing, topics.wing_topic, self.ledger.add_wing),
+            (BirdWing, topics.wing_topic, self._hear_wing),
             (BirdState, topics.state_topic, self.ledger.add_state),
         ]
         if record_stages:
@@ -85,6 +85,8 @@ class RecorderNode(DrainedNode):
         while (data := self._grants.take()) is not None:
             moved = True
             self._hear_grant(data)
+        if not self._joined:
+            return moved  # what is latched can wait until it is known whose it must be
         for inlet, add, bird in self._sources:
             while (data := inlet.take()) is not None:
                 moved = True
@@ -104,9 +106,9 @@ class RecorderNode(DrainedNode):
             self._unsafe_since, self._rows = None, 0
             self._tell(self.ledger.saved)
 
-    def farewell(self, timeout: float) -> None:
-        """Wait until the clock has heard that all is on disk."""
-        self._progress.wait_for_all_acked(Duration(seconds=timeout))
+    def farewell(self, stop: Stop) -> None:
+        """Wait until the clock has heard that all is on disk, or `stop`."""
+        wait_until_heard(self._progress, stop)
 
     @property
     def waiting_for(self) -> str:
@@ -126,8 +128,26 @@ class RecorderNode(DrainedNode):
         if not self._joined:
             self._joined = True
             self._run_id, self._epoch = grant.run_id, grant.epoch
+            flown = self._configuration
+            if grant.dt != flown.dt or grant.end != flown.steps:
+                raise FlockError(
+                    f"the clock flies {grant.end} steps of dt = {grant.dt:g} and the recorder is "
+                    f"to record {flown.steps} of {flown.dt:g}: give both the same configuration"
+                )
             self._tell(self.ledger.saved)
         self._run.write_grant(data)
+
+    def _hear_wing(self, bird: int, data: bytes) -> list[Row]:
+        wing = messages.Wing.decode(data)
+        if wing.run_id != self._run_id:
+            return []
+        if not np.array_equal(wing.span_ratio, self._configuration.span_ratio[bird - 1]):
+            raise FlockError(
+                f"{topics.bird_name(bird)} flies with span ratio {wing.span_ratio} and the "
+                f"recorder is told {self._configuration.span_ratio[bird - 1]}: give both the same "
+                "configuration"
+            )
+        return self.ledger.add_wing(bird, data)
 
     def _write(self, rows: list[Row]) -> None:
         for row in rows:
@@ -141,47 +161,30 @@ class RecorderNode(DrainedNode):
         self._progress.publish(progress.encode())
 
 
-def record(
-    node: RecorderNode,
-    executor: Executor,
-    stop: Stop,
-    timeout: float,
-    say: Callable[[str], None],
-) -> None:
+def record(node: RecorderNode, executor: Executor, stop: Stop, patience: Patience) -> None:
     """Record until every row is on disk. Returns early on `stop`.
 
-    Raises RunFailed where nothing came for `timeout` s, or the bag can't be written.
+    Raises RunFailed when `patience` runs out, or the bag can't be written.
     """
-    heard, said = time.monotonic(), False
-    while not stop:
-        moved = node.drain()
+    while not stop and not node.ledger.complete:
+        if node.drain():
+            patience.renew()
+        else:
+            executor.spin_once(timeout_sec=WAIT)
+            patience.wait(lambda: f"the recorder waits for {node.waiting_for}")
         node.keep_safe()
-        if moved:
-            heard, said = time.monotonic(), False
-            if node.ledger.complete:
-                return
-            continue
-        executor.spin_once(timeout_sec=WAIT)
-        silence = time.monotonic() - heard
-        if silence > timeout:
-            raise RunFailed(
-                f"the recorder has waited {silence:.0f} s for {node.waiting_for}: "
-                "start what is missing, or raise `timeout`"
-            )
-        if silence > SAY_AFTER and not said:
-            said = True
-            say(f"the recorder has waited {silence:.0f} s for {node.waiting_for}")
 
 
 def work(process: Process) -> None:
     """Record one flight."""
     configuration, operation = process.configuration, process.operation
+    stages = operation["record_stages"]
+    topics.steps_ahead(configuration, stages)  # refuses what can't be recorded
     if not operation["output"]:
         raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
     output = Path(operation["output"])
     if not process.supervised:  # `fly` has claimed it before anything started
         claim_output(output, operation["force"])
-    stages = operation["record_stages"]
     with (
         recording(output, configuration, grants=True, stages=stages) as run,
         executing(operation["executor"], process.context) as executor,
@@ -190,10 +193,8 @@ def work(process: Process) -> None:
             configuration, run, operation["run_id"], stages, context=process.context
         )
         executor.add_node(node)
-        say = (lambda line: None) if process.supervised else note
-        record(node, executor, process.stop, operation["timeout"], say)
-        if not process.stop:
-            node.farewell(operation["timeout"])
+        record(node, executor, process.stop, process.patience())
+        node.farewell(process.stop)
 
 
 _main = run_node(

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where ROS nodes look for each other, as the environment says it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from flock_sim.command_line import note
+from flock_sim.core.configuration import nearest
+from flock_sim.errors import FlockError
+
+DOMAIN = "ROS_DOMAIN_ID"
+LAST_DOMAIN = 232
+SAFE_DOMAINS = 101  # from 0: those whose ports no system gives to others
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
+
+
+@contextmanager
+def own_domain() -> Iterator[None]:
+    """Hold a ROS domain on which no other `fly` of this machine is: flights must not mix.
+
+    That of the environment or, where it names none, the first that is free. Held by a name in the
+    kernel's abstract socket namespace, which is free again when this process ends, however it does.
+    Raises FlockError where the environment's is taken.
+    """
+    chosen = os.environ.get(DOMAIN)
+    with socket.socket(socket.AF_UNIX) as claim:
+        for domain in [int(chosen)] if chosen else range(SAFE_DOMAINS):
+            with suppress(OSError):
+                claim.bind(f"\0flock-domain-{domain}")
+                break
+        else:
+            raise FlockError(
+                f"{DOMAIN} = {chosen or f'0..{SAFE_DOMAINS - 1}'}: another flight of this machine "
+                "is on it; wait for its end or name another"
+            )
+        if domain and not chosen:
+            note(f"another flight is on ROS domain 0: this one has {DOMAIN}={domain}")
+        os.environ[DOMAIN] = str(domain)
+        yield
+
+
+def prepare_discovery() -> None:
+    """Look for others on this machine only, unless the environment asks for more.
+
+    Raises FlockError where the environment asks for what ROS does not have.
+    """
+    domain = os.environ.get(DOMAIN) or "0"
+    if not (domain.isascii() and domain.isdigit() and int(domain) <= LAST_DOMAIN):
+        raise FlockError(f"{DOMAIN} = {domain}: must be a whole number, 0..{LAST_DOMAIN}")
+    reach = os.environ.get(RANGE) or "LOCALHOST"
+    if reach not in RANGES:
+        raise FlockError(f"{RANGE} = {reach}: {nearest(reach, RANGES)}")
+    os.environ[RANGE] = reach

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every tool ends with a status and a line that its user can act on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+
+import pytest
+
+from flock_sim.command_line import (
+    Parser,
+    add_flock_options,
+    flock_configuration,
+    positive_number,
+    print_json,
+    run_tool,
+    whole_number,
+)
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.errors import FlockError, RunFailed
+
+
+def raising(error: BaseException) -> int:
+    def tool(arguments: Sequence[str]) -> int:
+        raise error
+
+    return run_tool(tool, [])
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (FlockError("birds = 0: must be 1 or more"), 2, "error: birds = 0: must be 1 or more\n"),
+        (RunFailed("the recorder is gone"), 1, "error: the recorder is gone\n"),
+        (KeyboardInterrupt(), 130, "stopped\n"),
+    ],
+)
+def test_what_ends_a_tool_is_one_line_and_a_status(
+    error: BaseException, status: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert raising(error) == status
+    assert capsys.readouterr() == ("", line)
+
+
+def test_the_answer_of_a_tool_is_its_status() -> None:
+    assert run_tool(lambda arguments: len(arguments), ["one"]) == 1
+    assert run_tool(lambda arguments: len(arguments), []) == 0
+
+
+def test_arguments_come_from_the_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["tool", "a", "b"])
+    assert run_tool(lambda arguments: len(arguments)) == 2
+
+
+def test_a_mistake_of_ours_is_not_dressed_up_as_the_users() -> None:
+    with pytest.raises(ZeroDivisionError):
+        raising(ZeroDivisionError())
+
+
+def flock(*arguments: str) -> FlockConfiguration:
+    parser = Parser("fly", "Fly.", "")
+    add_flock_options(parser)
+    return flock_configuration(parser.parse_args(arguments))
+
+
+def test_no_options_are_the_defaults() -> None:
+    assert flock() == FlockConfiguration()
+
+
+def test_every_option_reaches_the_configuration() -> None:
+    flight = ("--dt", "0.5", "--t-max", "1e2", "--record-every", "4")
+    spans = ("--span-ratio", "1=0.9", "--span-ratio", "2=1,1.1")
+    assert flock("--birds", "5", "--coupling", "all", *flight, *spans) == (
+        FlockConfiguration(5, "all", 0.5, 100.0, 4, span_ratios=("1=0.9", "2=1,1.1"))
+    )
+
+
+def test_options_are_not_abbreviated() -> None:
+    with pytest.raises(FlockError, match="--bird"):
+        flock("--bird", "3")
+
+
+@pytest.mark.parametrize("number", ["1e4", "1E+4", "10000", "1_0000.0"])
+def test_numbers_are_taken_in_any_usual_form(number: str) -> None:
+    assert flock("--t-max", number).t_max == 1e4
+    assert flock("--birds", "1e1").birds == 10
+
+
+def test_whole_numbers_keep_their_bounds() -> None:
+    assert whole_number("--processes", "3", 1, 3) == 3
+    assert whole_number("--window", "64", 1) == 64
+    for text in ("0", "4", "-1", "2.5", "nan", "", "three"):
+        with pytest.raises(FlockError, match=rf"--processes {text}: .*1\.\.3"):
+            whole_number("--processes", text, 1, 3)
+    with pytest.raises(FlockError, match="1 or more"):
+        whole_number("--window", "0", 1)
+
+
+def test_positive_numbers_are_finite() -> None:
+    assert positive_number("--timeout", "2.5e1") == 25.0
+    for text in ("0", "-1", "nan", "inf", "", "long"):
+        with pytest.raises(FlockError, match=f"--timeout {text}: .*finite number above 0"):
+            positive_number("--timeout", text)
+
+
+def test_json_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json({"a": [1.5, None], "b": "ü"})
+    printed = capsys.readouterr().out
+    assert printed.count("\n") == 1
+    assert json.loads(printed) == {"a": [1.5, None], "b": "ü"}

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A crew's processes are watched, named when they fail, and never left behind."""
+
+from __future__ import annotations
+
+import ast
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from flock_sim import crew as module
+from flock_sim.crew import SUPERVISED, Crew
+from flock_sim.errors import RunFailed
+
+HANDS = {
+    "well": "pass",
+    "badly": "raise SystemExit(3)",
+    "waits": "import time\nReady()\ntime.sleep(1000)",
+    "deaf": "import signal, time\nsignal.signal(15, signal.SIG_IGN)\nReady()\ntime.sleep(1000)",
+    "tells": (
+        "import os, pathlib, sys\n"
+        f"pathlib.Path('told').write_text(repr((sys.argv[1:], os.environ.get('{SUPERVISED}'))))"
+    ),
+}
+READY = "import os, pathlib\ndef Ready(): pathlib.Path(f'ready-{os.getpid()}').touch()\n"
+
+
+@pytest.fixture
+def hands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Modules for a crew to run, in the working directory."""
+    for name, code in HANDS.items():
+        (tmp_path / f"hand_{name}.py").write_text(READY + code)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def ready(hands: Path, count: int) -> list[int]:
+    """Wait until `count` hands have come up; return their process ids."""
+    until(lambda: len(list(hands.glob("ready-*"))) == count)
+    return [int(path.name.partition("-")[2]) for path in hands.glob("ready-*")]
+
+
+def lives(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+def test_all_that_end_well_are_joined(hands: Path) -> None:
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_well", {})
+        crew.start("two", "hand_well", {})
+        crew.join(30.0)
+        crew.check()
+
+
+def test_a_hand_is_told_its_parameters_and_that_it_is_supervised(hands: Path) -> None:
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_tells", {"run_id": 7, "output": "a #b: c", "indices": [1, 2]})
+        crew.join(30.0)
+    arguments, parent = ast.literal_eval((hands / "told").read_text())
+    assert parent == str(os.getpid())
+    assert arguments[:2] == ["--ros-args", "--disable-external-lib-logs"]
+    assert arguments[2::2] == ["--params-file", "--params-file"]
+    shared, own = (Path(word) for word in arguments[3::2])
+    assert shared == hands / "flock.yaml"
+    told = yaml.safe_load(own.read_text())["/**"]["ros__parameters"]
+    assert told == {"run_id": 7, "output": "a #b: c", "indices": [1, 2]}
+
+
+def test_one_that_fails_is_named_with_its_status(hands: Path) -> None:
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("the good one", "hand_well", {})
+        crew.start("the bad one", "hand_badly", {})
+        with pytest.raises(RunFailed, match=r"^the bad one ended with status 3$"):
+            crew.join(30.0)
+
+
+def test_one_that_is_killed_is_named_with_the_signal(
+    hands: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed: list[int] = []
+    monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("the victim", "hand_waits", {})
+        crew.check()
+        os.kill(ready(hands, 1)[0], signal.SIGKILL)
+        with pytest.raises(RunFailed, match=r"^the victim was killed by SIGKILL$"):
+            crew.join(30.0)
+    assert removed == [1]
+
+
+def test_those_that_do_not_end_are_named(hands: Path) -> None:
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_waits", {})
+        crew.start("two", "hand_well", {})
+        crew.start("three", "hand_waits", {})
+        pids = ready(hands, 2)
+        until(lambda: crew._hands[1].process.poll() is not None)
+        with pytest.raises(RunFailed, match=r"^one and three did not end within 0\.1 s"):
+            crew.join(0.1)
+    assert not any(map(lives, pids))
+
+
+def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(hands: Path) -> None:
+    (hands / "hand_says.py").write_text(
+        "import pathlib, signal\n"
+        "deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
+        "pathlib.Path('deaf').write_text(repr(deaf))\n"
+    )
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_says", {})
+        crew.join(30.0)
+    assert (hands / "deaf").read_text() == "True"
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_nobody_is_left_however_a_flight_ends(hands: Path, error: type[BaseException]) -> None:
+    pids = []
+
+    def fail() -> None:
+        with Crew(hands / "flock.yaml") as crew:
+            crew.start("one", "hand_waits", {})
+            crew.start("two", "hand_waits", {})
+            pids.extend(ready(hands, 2))
+            raise error
+
+    with pytest.raises(error):
+        fail()
+    assert len(pids) == 2
+    assert not any(map(lives, pids))
+
+
+def test_who_does_not_heed_a_polite_word_is_killed(
+    hands: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed: list[int] = []
+    monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
+    monkeypatch.setattr(module, "GRACE", 0.1)
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_deaf", {})
+        (pid,) = ready(hands, 1)
+    assert not lives(pid)
+    assert removed == [1]
+
+
+def test_one_that_is_stopped_is_ended_in_order(
+    hands: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "GRACE", 30.0)
+    with Crew(hands / "flock.yaml") as crew:
+        crew.start("one", "hand_waits", {})
+        (pid,) = ready(hands, 1)
+        os.kill(pid, signal.SIGSTOP)
+        process: subprocess.Popen[bytes] = crew._hands[0].process
+    assert process.returncode == -signal.SIGTERM

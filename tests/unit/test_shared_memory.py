@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Only what nobody holds is removed from shared memory."""
+
+from __future__ import annotations
+
+import fcntl
+import time
+from pathlib import Path
+
+import pytest
+
+from flock_sim.shared_memory import YOUNGEST, remove_orphans
+
+
+@pytest.fixture
+def memory(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+def segment(memory: Path, name: str, mutex: bool = False) -> set[str]:
+    names = {f"fastrtps_{name}", f"fastrtps_{name}_el"}
+    names |= {f"sem.fastrtps_{name}_mutex"} if mutex else set()
+    for file in names:
+        (memory / file).touch()
+    return names
+
+
+def test_segments_and_ports_that_nobody_holds_are_removed(memory: Path) -> None:
+    segment(memory, "0123456789abcdef")
+    segment(memory, "port7411", mutex=True)
+    remove_orphans(memory)
+    assert list(memory.iterdir()) == []
+
+
+@pytest.mark.parametrize("lock", [fcntl.LOCK_EX, fcntl.LOCK_SH])
+def test_a_segment_that_is_held_stays(memory: Path, lock: int) -> None:
+    held = segment(memory, "0123456789abcdef") | segment(memory, "port7411", mutex=True)
+    (memory / "fastrtps_port7411_sl").touch()
+    held.add("fastrtps_port7411_sl")
+    segment(memory, "fedcba9876543210")
+    with (
+        (memory / "fastrtps_0123456789abcdef_el").open("rb") as one,
+        (memory / "fastrtps_port7411_sl").open("rb") as other,
+    ):
+        fcntl.flock(one, lock)
+        fcntl.flock(other, lock)
+        remove_orphans(memory)
+    assert {path.name for path in memory.iterdir()} == held
+
+
+def test_one_without_a_lock_file_is_removed_when_it_is_no_longer_in_the_making(
+    memory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = memory / "fastrtps_port7413"
+    port.touch()
+    born = port.stat().st_ctime
+    monkeypatch.setattr(time, "time", lambda: born + 0.9 * YOUNGEST)
+    remove_orphans(memory)
+    assert port.exists()
+    monkeypatch.setattr(time, "time", lambda: born + 1.1 * YOUNGEST)
+    remove_orphans(memory)
+    assert not port.exists()
+
+
+def test_what_is_not_fast_ddss_stays(memory: Path) -> None:
+    names = {
+        "lttng-ust-wait-8",
+        "somebody_el",
+        "fastrtps_notes",
+        "sem.mine",
+        "psm_0123456789abcdef",
+    }
+    for name in names:
+        (memory / name).touch()
+    remove_orphans(memory)
+    assert {path.name for path in memory.iterdir()} == names
+
+
+def test_a_machine_without_shared_memory_is_no_error(memory: Path) -> None:
+    remove_orphans(memory / "missing")
