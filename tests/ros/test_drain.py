@@ -29,6 +29,9 @@ class EveryOther:
     def drain_rare(self) -> bool:
         return False
 
+    def report(self) -> None:
+        pass
+
     @property
     def finished(self) -> bool:
         return self.left == 0

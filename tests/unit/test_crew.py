@@ -41,6 +41,13 @@ def hands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def parameters(tmp_path: Path) -> Path:
+    """The parameters that all hands are given."""
+    (tmp_path / "parameters").mkdir()
+    return tmp_path / "parameters" / "flock.yaml"
+
+
 def until(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + 30.0
     while not condition():
@@ -58,7 +65,7 @@ def lives(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_all_that_end_well_are_joined(hands: Path) -> None:
+def test_all_that_end_well_are_joined(hands: Path, parameters: Path) -> None:
     with Crew(hands / "flock.yaml") as crew:
         crew.start("one", "hand_well", {})
         crew.start("two", "hand_well", {})
@@ -66,21 +73,26 @@ def test_all_that_end_well_are_joined(hands: Path) -> None:
         crew.check()
 
 
-def test_a_hand_is_told_its_parameters_and_that_it_is_supervised(hands: Path) -> None:
-    with Crew(hands / "flock.yaml") as crew:
-        crew.start("one", "hand_tells", {"run_id": 7, "output": "a #b: c", "indices": [1, 2]})
+def test_a_hand_is_told_its_parameters_and_that_it_is_supervised(
+    hands: Path, parameters: Path
+) -> None:
+    output = "runs/a: b #c"  # on a command line, ROS would read it as YAML
+    with Crew(parameters) as crew:
+        crew.start("one", "hand_tells", {"run_id": 7, "indices": [1, 2], "output": output})
         crew.join(30.0)
-    arguments, parent = ast.literal_eval((hands / "told").read_text())
-    assert parent == str(os.getpid())
-    assert arguments[:2] == ["--ros-args", "--disable-external-lib-logs"]
-    assert arguments[2::2] == ["--params-file", "--params-file"]
-    shared, own = (Path(word) for word in arguments[3::2])
-    assert shared == hands / "flock.yaml"
-    told = yaml.safe_load(own.read_text())["/**"]["ros__parameters"]
-    assert told == {"run_id": 7, "output": "a #b: c", "indices": [1, 2]}
+    told, supervised = ast.literal_eval((hands / "told").read_text())
+    assert supervised == str(os.getpid())
+    assert told[:2] == ["--ros-args", "--disable-external-lib-logs"]
+    common, own = (Path(file) for file in (told[3], told[5]))
+    assert told[2::2] == ["--params-file", "--params-file"]
+    assert common == parameters
+    content = yaml.safe_load(own.read_text())
+    assert content == {
+        "/**": {"ros__parameters": {"run_id": 7, "indices": [1, 2], "output": output}}
+    }
 
 
-def test_one_that_fails_is_named_with_its_status(hands: Path) -> None:
+def test_one_that_fails_is_named_with_its_status(hands: Path, parameters: Path) -> None:
     with Crew(hands / "flock.yaml") as crew:
         crew.start("the good one", "hand_well", {})
         crew.start("the bad one", "hand_badly", {})
@@ -89,7 +101,7 @@ def test_one_that_fails_is_named_with_its_status(hands: Path) -> None:
 
 
 def test_one_that_is_killed_is_named_with_the_signal(
-    hands: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     removed: list[int] = []
     monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
@@ -102,7 +114,7 @@ def test_one_that_is_killed_is_named_with_the_signal(
     assert removed == [1]
 
 
-def test_those_that_do_not_end_are_named(hands: Path) -> None:
+def test_those_that_do_not_end_are_named(hands: Path, parameters: Path) -> None:
     with Crew(hands / "flock.yaml") as crew:
         crew.start("one", "hand_waits", {})
         crew.start("two", "hand_well", {})
@@ -114,7 +126,9 @@ def test_those_that_do_not_end_are_named(hands: Path) -> None:
     assert not any(map(lives, pids))
 
 
-def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(hands: Path) -> None:
+def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(
+    hands: Path, parameters: Path
+) -> None:
     (hands / "hand_says.py").write_text(
         "import pathlib, signal\n"
         "deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
@@ -128,7 +142,9 @@ def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(hands: Path) -> N
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_nobody_is_left_however_a_flight_ends(hands: Path, error: type[BaseException]) -> None:
+def test_nobody_is_left_however_a_flight_ends(
+    hands: Path, parameters: Path, error: type[BaseException]
+) -> None:
     pids = []
 
     def fail() -> None:
@@ -145,7 +161,7 @@ def test_nobody_is_left_however_a_flight_ends(hands: Path, error: type[BaseExcep
 
 
 def test_who_does_not_heed_a_polite_word_is_killed(
-    hands: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     removed: list[int] = []
     monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
@@ -158,7 +174,7 @@ def test_who_does_not_heed_a_polite_word_is_killed(
 
 
 def test_one_that_is_stopped_is_ended_in_order(
-    hands: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "GRACE", 30.0)
     with Crew(hands / "flock.yaml") as crew:

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -47,14 +48,9 @@ class Crew:
         for file in (self._parameters, own):
             command += ["--params-file", str(file)]
         environment = {**os.environ, SUPERVISED: str(os.getpid())}
-        # Ctrl-C is for us to act on. The new process inherits that it is deaf to it: told to by its
-        # own first lines, it would complain of the imports before them that are cut short.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _interrupt_deferred():
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        self._hands.append(_Hand(who, process))
+            self._hands.append(_Hand(who, process))
 
     def check(self) -> None:
         """Raise RunFailed if a process ended otherwise than well."""
@@ -101,6 +97,25 @@ class Crew:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
+
+
+@contextmanager
+def _interrupt_deferred() -> Iterator[None]:
+    """Hear of a Ctrl-C only after the block, so that no process is started and not known.
+
+    Processes that are started in it inherit that they are deaf to it: told to by their own first
+    lines, they would complain of the imports before them that are cut short.
+    """
+    heard: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+    if heard and handler is not signal.SIG_IGN:
+        raise KeyboardInterrupt
 
 
 def _ended(status: int) -> str:

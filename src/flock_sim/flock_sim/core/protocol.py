@@ -276,6 +276,10 @@ class BirdProtocol:
             out.append(self._progress(step))
         return out
 
+    def report(self) -> Outgoing:
+        """Return the word of a bird that has to wait: it is there, and has come so far."""
+        return self._progress(self.step if self.in_flight else -1)
+
     def _progress(self, step: int) -> Outgoing:
         """Return the report of having reached `step`; -1: here, and not yet at the start."""
         progress = Progress(self.run_id, step, self._epoch, bird_name(self.bird))

@@ -54,6 +54,7 @@ class Timekeeper:
         """How often anybody has moved: a run in which this stays stands still."""
         birds = (bird_name(bird) for bird in range(1, configuration.birds + 1))
         self._reached = dict.fromkeys([*birds, *([RECORDER] if record else [])], ABSENT)
+        self._heard: set[str] = set()  # since anybody has moved
         self._record = record
         self._granted = 0
         self._told = -1
@@ -87,17 +88,22 @@ class Timekeeper:
         if absent:
             return absent
         if self.step < max(self._granted, 1):
-            return [name for name, step in self._birds() if step == self.step]
+            # Who waits says so again and again; who is silent is what they wait for.
+            silent = [name for name, _ in self._birds() if name not in self._heard]
+            behind = [name for name, step in self._birds() if step == self.step]
+            return silent if silent and self._heard else behind
         return [RECORDER] if self._record else []
 
     def receive(self, progress: Progress) -> list[Grant | Time]:
         """Take somebody's progress; what is not of this run, or not new, changes nothing."""
         if progress.run_id != self.run_id or progress.epoch != self.epoch:
             return []
+        self._heard.add(progress.who)
         if progress.step <= self._reached.get(progress.who, progress.step):
             return []
         self._reached[progress.who] = progress.step
         self.moves += 1
+        self._heard.clear()
         self.step = min(step for _, step in self._birds())
         return [*self._times(), *self._grants()]
 

@@ -87,6 +87,11 @@ class BirdNode(DrainedNode):
                 self._send(self.protocol.receive_wing(messages.Wing.decode(data)))
         return moved
 
+    def report(self) -> None:
+        """Tell the clock that this bird is there, and waits."""
+        if self.protocol.run_id:
+            self._send([self.protocol.report()])
+
     @property
     def finished(self) -> bool:
         """Whether the flight is over for this bird."""

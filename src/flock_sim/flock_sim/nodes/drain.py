@@ -24,6 +24,9 @@ FRUITLESS_SWEEPS = 1000
 WAIT = 0.001
 """How long the executor waits at a time, in s: the longest that a stage message may lie."""
 
+REPORT_EVERY = 1.0
+"""How often, in s, a bird that waits says that it does: who says nothing is waited for."""
+
 
 class Flier(Protocol):
     """What `keep_flying` asks of a bird."""
@@ -33,6 +36,9 @@ class Flier(Protocol):
 
     def drain_rare(self) -> bool:
         """Take what comes rarely; return whether anything came."""
+
+    def report(self) -> None:
+        """Tell the clock that it is there, and waits."""
 
     @property
     def finished(self) -> bool:
@@ -48,7 +54,7 @@ def keep_flying(birds: Sequence[Flier], executor: Executor, stop: Stop, patience
 
     Returns early on `stop`. Raises RunFailed when `patience` runs out.
     """
-    sweeps = fruitless = 0
+    sweeps = fruitless = reports = 0
     while True:
         moved = False
         for bird in birds:
@@ -71,9 +77,14 @@ def keep_flying(birds: Sequence[Flier], executor: Executor, stop: Stop, patience
             return
         if fruitless == 0:
             patience.renew()
+            reports = 0
         fruitless += 1
         if fruitless < FRUITLESS_SWEEPS:
             os.sched_yield()
             continue
         executor.spin_once(timeout_sec=WAIT)
+        if patience.silence > REPORT_EVERY * (reports + 1):
+            reports += 1
+            for bird in birds:
+                bird.report()
         patience.wait(lambda: next(bird.waiting_for for bird in birds if not bird.finished))

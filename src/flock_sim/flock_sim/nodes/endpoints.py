@@ -73,8 +73,14 @@ class Inlet:
 
     def __init__(self, subscription: Subscription) -> None:
         """Take from `subscription`."""
+        self._subscription = subscription
         self._take = subscription.handle.take_message
         self._type = subscription.msg_type
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody publishes to it."""
+        return bool(self._subscription.get_publisher_count() > 0)
 
     def take(self) -> bytes | None:
         """Return the next message as CDR, or None; never waits."""

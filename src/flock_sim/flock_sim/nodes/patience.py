@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from flock_sim.errors import RunFailed
 
-SAY_AFTER = 5.0
+SAY_AFTER = 3.0
 """Silence, in s, after which it is said what is waited for."""
 
 
@@ -26,9 +26,14 @@ class Patience:
         """Something was heard: all the patience is back."""
         self._since = time.monotonic()
 
+    @property
+    def silence(self) -> float:
+        """Time since anything was heard, in s."""
+        return time.monotonic() - self._since
+
     def wait(self, waiting: Callable[[], str]) -> None:
         """Go on waiting. `waiting` tells who waits for what. Raises RunFailed when it is enough."""
-        silence = time.monotonic() - self._since
+        silence = self.silence
         if silence < min(SAY_AFTER, self._timeout):
             self._said = ""
             return

@@ -86,6 +86,7 @@ class RecorderNode(DrainedNode):
             moved = True
             self._hear_grant(data)
         if not self._joined:
+            self._join()
             return moved  # what is latched can wait until it is known whose it must be
         for inlet, add, bird in self._sources:
             while (data := inlet.take()) is not None:
@@ -113,8 +114,10 @@ class RecorderNode(DrainedNode):
     @property
     def waiting_for(self) -> str:
         """What the recorder needs to go on, in words."""
-        if not self._joined:
+        if not self._epoch:
             return "the clock's first grant"
+        if not self._joined:
+            return ", ".join(self._unfound())
         names = [topics.bird_name(bird) for bird in self.ledger.waiting_for]
         return ", ".join(names) or "the clock"
 
@@ -125,8 +128,7 @@ class RecorderNode(DrainedNode):
         grant = messages.Grant.decode(data)
         if self._run_id not in (0, grant.run_id):
             return
-        if not self._joined:
-            self._joined = True
+        if not self._epoch:
             self._run_id, self._epoch = grant.run_id, grant.epoch
             flown = self._configuration
             if grant.dt != flown.dt or grant.end != flown.steps:
@@ -134,8 +136,22 @@ class RecorderNode(DrainedNode):
                     f"the clock flies {grant.end} steps of dt = {grant.dt:g} and the recorder is "
                     f"to record {flown.steps} of {flown.dt:g}: give both the same configuration"
                 )
-            self._tell(self.ledger.saved)
         self._run.write_grant(data)
+
+    def _join(self) -> None:
+        """Say that the flight may begin, once every bird's topics have been found.
+
+        A bird that ends would otherwise take along what it had latched for us.
+        """
+        if self._epoch and not self._unfound():
+            self._joined = True
+            self._tell(self.ledger.saved)
+
+    def _unfound(self) -> list[str]:
+        """Return who has a topic that has not been found yet."""
+        inlets = [(inlet, topics.bird_name(bird)) for inlet, _, bird in self._sources]
+        inlets.append((self._times, "the clock"))
+        return sorted({who for inlet, who in inlets if not inlet.connected})
 
     def _hear_wing(self, bird: int, data: bytes) -> list[Row]:
         wing = messages.Wing.decode(data)

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of the nodes: their names, their quality of service, and who takes their messages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+
+from flock_interfaces.msg import Progress
+from flock_sim.core import topics
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.timekeeper import Timekeeper
+from flock_sim.nodes.bird import BirdNode
+from flock_sim.nodes.clock import ClockNode
+from flock_sim.nodes.endpoints import DrainedNode, latched
+from flock_sim.nodes.recorder import RecorderNode
+from flock_sim.recording import recording
+
+CONFIGURATION = FlockConfiguration(birds=3, t_max=10.0)
+BIRDS = ("bird_01", "bird_02", "bird_03")
+
+
+@contextmanager
+def flock(context: Context, directory: Path) -> Iterator[dict[str, Node]]:
+    """All nodes of a flock of three, none of them spun."""
+    with ExitStack() as stack:
+        run = stack.enter_context(recording(directory / "bag", CONFIGURATION, grants=True))
+        keeper = Timekeeper(CONFIGURATION, 7, 4, True)
+        nodes: dict[str, Node] = {
+            "clock": ClockNode(keeper, 64, context=context),
+            "recorder": RecorderNode(CONFIGURATION, run, 0, False, context=context),
+            **{
+                name: BirdNode(i, CONFIGURATION, context=context) for i, name in enumerate(BIRDS, 1)
+            },
+        }
+        for node in nodes.values():
+            stack.callback(node.destroy_node)
+        yield nodes
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_every_topic_has_who_should_send_and_hear_it(context: Context, tmp_path: Path) -> None:
+    neighbours = {"bird_01": {"bird_02"}, "bird_02": {"bird_01", "bird_03"}, "bird_03": {"bird_02"}}
+    expected = {
+        "/clock": ({"clock"}, {"recorder"}),
+        "/flock/clock/grant": ({"clock"}, {"recorder", *BIRDS}),
+        "/flock/progress": ({"recorder", *BIRDS}, {"clock"}),
+    }
+    for bird in BIRDS:
+        expected |= {
+            f"/flock/{bird}/wing": ({bird}, {"recorder"} | neighbours[bird]),
+            f"/flock/{bird}/stage": ({bird}, neighbours[bird]),
+            f"/flock/{bird}/state": ({bird}, {"recorder"}),
+        }
+    with flock(context, tmp_path) as nodes:
+        clock = nodes["clock"]
+
+        def found() -> dict[str, tuple[set[str], set[str]]]:
+            return {
+                topic: (
+                    {end.node_name for end in clock.get_publishers_info_by_topic(topic)},
+                    {end.node_name for end in clock.get_subscriptions_info_by_topic(topic)},
+                )
+                for topic in expected
+            }
+
+        until(lambda: found() == expected)
+        for topic in expected:
+            publishers = clock.get_publishers_info_by_topic(topic)
+            for end in [*publishers, *clock.get_subscriptions_info_by_topic(topic)]:
+                assert end.node_namespace == "/flock"
+                assert end.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                assert end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def test_everything_is_reliable_and_latched_to_a_depth() -> None:
+    profile = latched(17)
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert (profile.history, profile.depth) == (HistoryPolicy.KEEP_LAST, 17)
+
+
+def test_a_drained_subscription_is_hidden_from_executors_and_taken_by_hand(
+    context: Context,
+) -> None:
+    served: list[Progress] = []
+    node = DrainedNode("listener", context=context)
+    sender = Node("sender", context=context)
+    inlet = node.subscribe_drained(Progress, "drained", 10)
+    node.create_subscription(Progress, "served", served.append, latched(10))
+    assert [s.topic_name for s in node.subscriptions] == ["/served"]
+
+    outlets = [
+        sender.create_publisher(Progress, name, latched(10)) for name in ("drained", "served")
+    ]
+    for step in range(3):
+        for outlet in outlets:
+            outlet.publish(Progress(step=step, who="sender"))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    until(lambda: executor.spin_once(timeout_sec=0.05) or len(served) == 3)
+    taken: list[bytes] = []
+
+    def take() -> bool:
+        data = inlet.take()
+        if data is not None:
+            taken.append(data)
+        return len(taken) == 3
+
+    until(take)
+    assert inlet.take() is None
+    assert [m.step for m in served] == [0, 1, 2]
+    assert [data[:4] for data in taken] == [b"\0\1\0\0"] * 3
+    executor.shutdown()
+    node.destroy_node()
+    sender.destroy_node()
+
+
+def test_queues_are_as_deep_as_what_may_be_under_way() -> None:
+    assert topics.depth(topics.state_topic(1), CONFIGURATION) >= 2
+    assert topics.depth(topics.wing_topic(1), CONFIGURATION) == 1
+    assert topics.depth(topics.PROGRESS_TOPIC, CONFIGURATION) == 1
+
+
+@pytest.mark.parametrize("kind", ["events", "single"])
+def test_an_executor_of_either_kind_destroys_its_nodes(context: Context, kind: str) -> None:
+    from flock_sim.nodes.process import executing
+
+    with executing(kind, context) as executor:
+        node = Node("guest", context=context)
+        executor.add_node(node)
+        executor.spin_once(timeout_sec=0.01)
+    assert node not in executor.get_nodes()
+    with pytest.raises(Exception, match=r"."):
+        node.create_publisher(Progress, "late", 1)
