@@ -156,3 +156,16 @@ def test_memory_does_not_grow_with_the_flight() -> None:
             ledger.add_state(bird, of.states[bird - 1])
         assert len(ledger.add_time(of.time)) == 1
         assert len(ledger._rows) <= 1
+
+
+def test_a_first_state_is_not_replaced_while_its_row_is_incomplete() -> None:
+    ledger = Ledger(CONFIGURATION)
+    sent = letters(stages=False)
+    states = [data for kind, bird, data in sent if (kind, bird) == ("state", 1)]
+    ledger.add_state(1, states[0])
+    other = bytearray(states[0])
+    other[-1] ^= 1
+    assert ledger.add_state(1, bytes(other)) == []
+    assert ledger.ignored == 1
+    rows = [out for letter in sent for out in give(ledger, letter)]
+    assert rows == expected(stages=False)

@@ -200,6 +200,19 @@ def test_a_bird_reports_half_way_and_where_its_leave_ends(granted, reported):
     assert later == reported
 
 
+def test_a_bird_that_waits_tells_how_far_it_has_come():
+    configuration = configured(birds=2)
+    bird = BirdProtocol(1, configuration, run_id=RUN)
+    assert bird.report() == []
+    bird.receive_grant(grant(0, configuration))
+    for reached in (-1, 0):
+        ((channel, data),) = bird.report()
+        assert (channel, Progress.decode(data).step) == (Channel.PROGRESS, reached)
+        bird.receive_wing(Wing(RUN, 2, np.ones(1)))
+        one = np.ones(1)
+        bird.receive_stage(Stage(RUN, 0, EPOCH, 2, 0, one, one, one).encode())
+
+
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
     configuration = configured(birds=1, t_max=100.0)
     bird = BirdProtocol(1, configuration)

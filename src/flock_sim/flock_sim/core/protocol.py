@@ -67,6 +67,7 @@ class BirdProtocol:
         self._end = configuration.steps
         self._granted = -1
         self._report_at = 0
+        self._reached = -1  # the last step whose beginning was reached, its neighbours heard
         self._tick = 0  # 4 step + stage, of the last message sent
         self._held = False  # at the beginning of a step, its own values known, no leave to go on
 
@@ -272,13 +273,16 @@ class BirdProtocol:
         out = []
         if step % self._configuration.record_every == 0:
             out.append((Channel.STATE, self._state(step, words).encode()))
+        self._reached = step
         if step >= self._granted or step == self._report_at:
             out.append(self._progress(step))
         return out
 
-    def report(self) -> Outgoing:
+    def report(self) -> list[Outgoing]:
         """Return the word of a bird that has to wait: it is there, and has come so far."""
-        return self._progress(self.step if self.in_flight else -1)
+        if self._granted < 0:
+            return []  # there is no run yet to report to
+        return [self._progress(self._reached)]
 
     def _progress(self, step: int) -> Outgoing:
         """Return the report of having reached `step`; -1: here, and not yet at the start."""

@@ -89,8 +89,7 @@ class BirdNode(DrainedNode):
 
     def report(self) -> None:
         """Tell the clock that this bird is there, and waits."""
-        if self.protocol.run_id:
-            self._send([self.protocol.report()])
+        self._send(self.protocol.report())
 
     @property
     def finished(self) -> bool:
