@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bird's step protocol: what it waits for, what it says, and that the flock flies to the bit."""
 
+from dataclasses import replace
 from random import Random
 
 import numpy as np
@@ -10,6 +11,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import Grant, Progress, Stage, State, Wing
 from flock_sim.core.protocol import BirdProtocol, Channel
 from flock_sim.core.stage_message import stage_header
+from flock_sim.core.timekeeper import Timekeeper
 from flock_sim.errors import FlockError
 from unit.network import EPOCH, RUN, Kind, Network, expected_states
 
@@ -211,6 +213,18 @@ def test_a_bird_that_waits_tells_how_far_it_has_come():
         bird.receive_wing(Wing(RUN, 2, np.ones(1)))
         one = np.ones(1)
         bird.receive_stage(Stage(RUN, 0, EPOCH, 2, 0, one, one, one).encode())
+
+
+def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():
+    configuration = configured(birds=1)
+    keeper = Timekeeper(configuration, RUN, window=100, record=False)
+    bird = BirdProtocol(1, configuration)
+    bird.receive_grant(replace(keeper.first_grant, step=configuration.steps, epoch=EPOCH))
+    assert bird.finished
+    assert not bird.released
+    assert bird.receive_grant(replace(keeper.release, epoch=EPOCH)) == []
+    assert bird.released
+    assert bird.step == configuration.steps
 
 
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():

@@ -180,6 +180,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
             executor.add_node(clock)
             seconds = keep_time(clock, executor, Patience(plan.timeout, note), watch)
             watch()
+            clock.farewell(stop=False)
             crew.join(JOIN_LIMIT)
     finally:
         rclpy.try_shutdown(context=context)

@@ -61,6 +61,8 @@ class BirdProtocol:
         self.bird = bird
         self.run_id = run_id
         self.ignored = 0
+        self.released = False
+        """Whether the clock has said that the run is over, and nobody needs this bird any more."""
         self.neighbours = formation.neighbours(bird, configuration.birds, configuration.coupling)
         self._configuration = configuration
         self._epoch = -1  # of no message: nothing is taken before the first grant
@@ -134,6 +136,8 @@ class BirdProtocol:
         unknown = [bird_name(other) for other in self.neighbours if other not in self._wings]
         if unknown:
             return f"the wing of {', '.join(unknown)}"
+        if self.finished:
+            return "the clock's word that the run is over"
         if self._held:
             return f"the clock's leave to go beyond step {self.step}"
         stage = f"stage {self._tick % STAGES} of step {self.step}"
@@ -146,6 +150,7 @@ class BirdProtocol:
         if grant.run_id != self.run_id or grant.epoch != self._epoch:
             self.ignored += 1
             return []
+        self.released |= grant.step > self._end
         if grant.step <= self._granted:
             return []
         self._grant(grant.step)

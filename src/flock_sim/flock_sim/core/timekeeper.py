@@ -65,6 +65,11 @@ class Timekeeper:
         return self._grant(0)
 
     @property
+    def release(self) -> Grant:
+        """The message that ends the run, leave beyond its end: nobody needs the birds any more."""
+        return self._grant(self._configuration.steps + 1)
+
+    @property
     def finished(self) -> bool:
         """Whether the last step is reached, and on disk where it is to be recorded."""
         end = self._configuration.steps

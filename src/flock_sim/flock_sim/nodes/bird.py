@@ -94,7 +94,7 @@ class BirdNode(DrainedNode):
     @property
     def finished(self) -> bool:
         """Whether the flight is over for this bird."""
-        return self.protocol.finished
+        return self.protocol.finished and self.protocol.released
 
     @property
     def waiting_for(self) -> str:

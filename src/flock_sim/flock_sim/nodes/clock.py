@@ -42,8 +42,10 @@ class ClockNode(Node):
         )
         self._send(keeper.first_grant)
 
-    def farewell(self, stop: Stop) -> None:
-        """Wait until everybody who listens has the last leave and time, or `stop`."""
+    def farewell(self, stop: Stop | bool) -> None:
+        """Let everybody go, and wait until all who listen have heard it, or `stop`."""
+        if self.keeper.finished:
+            self._send(self.keeper.release)
         for outlet in self._outlets.values():
             wait_until_heard(outlet, stop)
 

@@ -28,6 +28,11 @@ REPORT_EVERY = 1.0
 """How often, in s, a bird that waits says that it does: who says nothing is waited for."""
 
 
+RESTLESS = 0.1
+REST = 0.02
+"""After RESTLESS s of silence it waits for REST s at a time, and leaves the processor to others."""
+
+
 class Flier(Protocol):
     """What `keep_flying` asks of a bird."""
 
@@ -82,7 +87,7 @@ def keep_flying(birds: Sequence[Flier], executor: Executor, stop: Stop, patience
         if fruitless < FRUITLESS_SWEEPS:
             os.sched_yield()
             continue
-        executor.spin_once(timeout_sec=WAIT)
+        executor.spin_once(timeout_sec=WAIT if patience.silence < RESTLESS else REST)
         if patience.silence > REPORT_EVERY * (reports + 1):
             reports += 1
             for bird in birds:

@@ -33,7 +33,7 @@ FAREWELL = 10.0
 """Longest wait, in s, for listeners to take what was last said to them."""
 
 
-def wait_until_heard(outlet: Publisher, stop: Stop) -> None:
+def wait_until_heard(outlet: Publisher, stop: Stop | bool) -> None:
     """Wait until all who listen to `outlet` have its messages; FAREWELL at most, or until `stop`.
 
     Whoever has not taken them by then, a suspended `ros2 topic echo` say, is left behind.

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the recorder calls safe is on disk: the checkpoint that a flight can be resumed from."""
+
+from __future__ import annotations
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from flock_interfaces.msg import Progress
+from flock_sim.core import topics
+from flock_sim.nodes.endpoints import latched
+from flock_sim.run import Run
+from terminal import Terminal
+
+
+def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ROS_DOMAIN_ID", "ROS_LOG_DIR"):
+        monkeypatch.setenv(name, terminal.environment[name])
+    context = Context()
+    rclpy.init(context=context)
+    listener = Node("listener", context=context)
+    heard: list[int] = []
+
+    def hear(progress: Progress) -> None:
+        if progress.who == topics.RECORDER and progress.step >= 0:
+            heard.append(progress.step)
+            # The file only grows: what is read now was there when the message came, or a bit later.
+            assert Run(terminal.directory / "bag").at().step >= progress.step
+
+    listener.create_subscription(Progress, topics.PROGRESS_TOPIC, hear, latched(1))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
+    # Stages would make chunks fill up by themselves; few small states must be put on disk for it.
+    flight = ("--birds", 2, "--t-max", 3000, "--record-every", 50, "--window", 1)
+    job = terminal.start("fly", *flight, "--output", "bag")
+    try:
+        while job.running:
+            terminal.look()
+            executor.spin_once(timeout_sec=0.01)
+        assert job.wait().status == 0
+    finally:
+        executor.shutdown()
+        listener.destroy_node()
+        rclpy.try_shutdown(context=context)
+    assert heard
+    assert heard == sorted(heard)
