@@ -18,7 +18,8 @@ cancellation,
     E    = f(0) = ln[p s / (q r)] = ln[1 - 4 a a' / (y^2 - (a - a')^2)]
 
 E is the part of I that is even in x, so D_ij + D_ji does not depend on the streamwise distance.
-One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji.
+One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji, and its derivative
+f'(X) = (J(p) + J(s) - J(q) - J(r)) / X^2, of which all terms are at hand.
 """
 
 from math import log, log1p, pi, sqrt
@@ -61,8 +62,17 @@ def ahead_integral(
     All arguments are in b, `lateral` > `source_half` + `target_half`. The result is dimensionless,
     E at distance 0, and goes to zero as -2 a a' / distance^2. Eqs. (I), (I0), (Ipm) for x <= 0;
     symmetric in the two half-spans to the last bit.
+    """
+    return ahead_integral_and_slope(distance, lateral, source_half, target_half)[0]
 
-    J(p) + J(s) - J(q) - J(r) is written by J(u) - u = X^2 / (J(u) + u) close by, where
+
+@kernel
+def ahead_integral_and_slope(
+    distance: float, lateral: float, source_half: float, target_half: float
+) -> tuple[float, float]:
+    """Return f of `ahead_integral` and its derivative f' > 0 by the distance X, in 1 / b.
+
+    J(p) + J(s) - J(q) - J(r) = X^2 f' is written by J(u) - u = X^2 / (J(u) + u) close by, where
     p + s = q + r takes out the leading terms, and by differences of squares far away, where the J
     themselves become equal; the logarithm's argument less one follows from it by
     J(p) J(s) - J(q) J(r) = 8 a a' (X^2 - y^2 + a^2 + a'^2) / (J(p) J(s) + J(q) J(r)).
@@ -88,19 +98,21 @@ def ahead_integral(
         plus_s = j_s + s
         p_s = plus_p * plus_s
         q_r = plus_q * plus_r
-        bound = distance * (((plus_p + plus_s) * q_r - (plus_q + plus_r) * p_s) / (p_s * q_r))
+        slope = ((plus_p + plus_s) * q_r - (plus_q + plus_r) * p_s) / (p_s * q_r)
+        bound = distance * slope
     else:
         j_pq = j_p + j_q
         j_sr = j_s + j_r
         bound = 4.0 * small * (outer * j_sr - inner * j_pq) / (j_pq * j_sr * distance)
+        slope = bound / distance
 
     product = j_p * j_s + j_q * j_r
     beyond = square - (lateral * lateral - large * large - small * small)
     denominator = (distance + j_q) * (distance + j_r)
     excess = (square * bound + 8.0 * large * small * beyond / product) / denominator
     if excess < NEAR_TOUCH:
-        return log((distance + j_p) * (distance + j_s) / denominator) - bound
-    return log1p(excess) - bound
+        return log((distance + j_p) * (distance + j_s) / denominator) - bound, slope
+    return log1p(excess) - bound, slope
 
 
 @elementwise

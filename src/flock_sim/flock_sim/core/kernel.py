@@ -25,10 +25,13 @@ def kernel(function: Function) -> Function:
     """Compile a loop over numbers; compiled code is kept on disk beside the module.
 
     Arithmetic is that of IEEE 754 to the letter: no `fastmath`, so that every caller gets the same
-    bits, and 1/0 = inf, so that a member that diverges stops nobody.
+    bits, and 1/0 = inf, so that a member that diverges stops nobody. Loops leave the interpreter
+    to others: threads can share out the members of an ensemble.
     """
     with _cache_of_this_version():
-        compiled: Function = numba.njit(cache=True, error_model="numpy", fastmath=False)(function)
+        compiled: Function = numba.njit(
+            cache=True, error_model="numpy", fastmath=False, nogil=True
+        )(function)
     return compiled
 
 
