@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.core import formation
-from flock_sim.core.aerodynamics import even_part
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
+from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray, kernel
 from flock_sim.core.runge_kutta import STAGES, stage_value
-from flock_sim.core.scaling import BirdCoefficients, Scales
 
 
 @dataclass(frozen=True)
@@ -38,27 +37,16 @@ class Monolith:
     100
     """
 
-    def __init__(self, configuration: FlockConfiguration) -> None:
-        """Place the flock at its start."""
+    def __init__(
+        self, configuration: FlockConfiguration, span_ratio: FloatArray | None = None
+    ) -> None:
+        """Place the flock at its start; `span_ratio` (birds, members) replaces the configured."""
         self.configuration = configuration
-        ratio = configuration.span_ratio
-        birds, members = ratio.shape
-        scales = Scales.of(configuration)
-        self.coefficients = np.stack([BirdCoefficients.of(scales, row).rows() for row in ratio])
-        self.half_span = formation.VORTEX_FRACTION * ratio
-        pairs = list(formation.pairs(birds, configuration.coupling))
-        self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2) - 1
-        self.lateral = np.empty((len(pairs), members))
-        self.even = np.empty((len(pairs), members))
-        for k, (i, j) in enumerate(self.pairs):
-            self.lateral[k] = formation.lateral_distance(ratio[i : j + 1])
-            for m in range(members):
-                self.even[k, m] = even_part(
-                    self.lateral[k, m], self.half_span[i, m], self.half_span[j, m]
-                )
+        self.flock = Flock.of(configuration, span_ratio)
+        birds, members = self.flock.span_ratio.shape
         start = [formation.start_position(i, birds) for i in range(1, birds + 1)]
         self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
-        self.speed = np.full((birds, members), scales.cruise_speed)
+        self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
 
     def fly(self, rows: int = 1024) -> Iterator[Recorded]:
@@ -81,7 +69,7 @@ class Monolith:
         The result has shape (records, 4, birds, members): position, speed, circulation and
         interaction drag at the beginning of the first, the `record_every`-th ... step.
         """
-        every = self.configuration.record_every
+        every, flock = self.configuration.record_every, self.flock
         recorded = np.empty((-(-steps // every), STAGES, *self.position.shape))
         _advance(
             self.position,
@@ -89,11 +77,11 @@ class Monolith:
             self.configuration.dt,
             steps,
             every,
-            self.coefficients,
-            self.half_span,
-            self.pairs,
-            self.lateral,
-            self.even,
+            flock.coefficients,
+            flock.half_span,
+            flock.pairs,
+            flock.lateral,
+            flock.even,
             recorded,
         )
         self.step += steps
@@ -101,15 +89,16 @@ class Monolith:
 
     def observe(self) -> FloatArray:
         """Return the present state as `advance` records it, shape (4, birds, members)."""
+        flock = self.flock
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
         _forces(
             self.position,
             self.speed,
-            self.coefficients,
-            self.half_span,
-            self.pairs,
-            self.lateral,
-            self.even,
+            flock.coefficients,
+            flock.half_span,
+            flock.pairs,
+            flock.lateral,
+            flock.even,
             circulation,
             drag,
         )
