@@ -119,6 +119,14 @@ class Scales:
         """D_0 = T_0 = k (U_0^2 + U_0^-2), in rho b^2 U_min^2. Eqs. (hatD), (T0)."""
         return 2.0 * self.drag_coefficient_k * self.cruise_ratio
 
+    @property
+    def saving_ratio(self) -> float:
+        """Gamma_min^2 / (2 pi k) = 4 e_O / pi^2: D_ij + D_ji in units of k E / U^2.
+
+        All that a steady formation knows of e_O, C_D and AR.
+        """
+        return self.circulation_min**2 / (2.0 * pi * self.drag_coefficient_k)
+
     def solo_cruise_speed(self, span_ratio: FloatArray | float) -> FloatArray:
         """Return U_0,j of a bird of `span_ratio` lambda flying alone, in U_min; nan without one.
 

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exact steady state of nearest-neighbour coupling, for any span ratios.
+
+At the common speed U* (see `steady_speed`), what bird 1 must save fixes D_21; the rest of the
+pair's constant sum C_1 is D_12; then what bird 2 must save fixes D_32, and so on along the chain.
+The share of gap i,
+
+    s_i = D_{i+1,i} / C_i = (sum_{j <= i} R_j - sum_{l < i} C_l) / C_i,    R_j = T_j - D_j(U*),
+
+is what birds 1..i get of what the pair across the gap saves. It is 1/2 side by side, grows
+towards 1 as bird i falls behind and towards 0 as bird i + 1 does. So a formation exists where all
+shares lie in (0, 1), and each gap follows from one equation, f(|x|) = 2 E min(s, 1 - s).
+"""
+
+from math import inf, nan, sqrt
+
+from flock_sim.core.aerodynamics import ahead_integral_and_slope, even_part
+from flock_sim.core.formation import TIP_SPACING, VORTEX_FRACTION
+from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.steady_speed import balance, steady_square
+
+MOST_ITERATIONS = 100
+"""More than any gap needs: bisection alone would be done after some 60."""
+
+ROUNDING = 4e-16
+"""Relative size of a step below which a gap is found."""
+
+
+@kernel
+def fill_shares(
+    span_ratio: FloatArray,
+    cruise_ratio: float,
+    strength: float,
+    square: FloatArray,
+    share: FloatArray,
+) -> None:
+    """Fill U*^2, `square` (members,), and the shares of the gaps, `share` (birds - 1, members).
+
+    `span_ratio` has shape (birds, members); `cruise_ratio` is H_0, `strength` 4 e_O / pi^2.
+    Shares may lie outside of (0, 1), where no formation exists; all is nan where no speed does.
+    """
+    birds, members = span_ratio.shape
+    for m in range(members):
+        squares, fourths, saving = 0.0, 0.0, 0.0
+        before = 0.0
+        for i in range(birds):
+            ratio = span_ratio[i, m] * span_ratio[i, m]
+            squares += ratio
+            fourths += ratio * ratio
+            if i > 0:
+                share[i - 1, m] = strength * before * ratio * _even(span_ratio, i - 1, m)
+                saving += share[i - 1, m]
+            before = ratio
+        u = steady_square(squares, fourths, saving, cruise_ratio)
+        square[m] = u
+        carried = 0.0
+        for i in range(birds - 1):
+            pair = share[i, m] / u
+            carried += balance(span_ratio[i, m], u, cruise_ratio)
+            share[i, m] = carried / pair
+            carried -= pair
+
+
+@kernel
+def fill_spacings(span_ratio: FloatArray, share: FloatArray, spacing: FloatArray) -> None:
+    """Fill `spacing`, x_{i+1} - x_i of shape (birds - 1, members) in b, from the shares.
+
+    nan where a share is not in (0, 1).
+    """
+    birds, members = span_ratio.shape
+    for m in range(members):
+        for i in range(birds - 1):
+            half = VORTEX_FRACTION * span_ratio[i, m]
+            other = VORTEX_FRACTION * span_ratio[i + 1, m]
+            lateral = span_ratio[i, m] + span_ratio[i + 1, m] + TIP_SPACING
+            spacing[i, m] = gap_of_share(share[i, m], lateral, half, other)
+
+
+@kernel
+def gap_of_share(share: float, lateral: float, half: float, other_half: float) -> float:
+    """Return the streamwise distance, in b, at which a bird has `share` of what the pair saves.
+
+    Positive where the bird is behind the other; nan where `share` is not in (0, 1). `lateral`,
+    `half` and `other_half` are as for `ahead_integral`.
+
+    Newton's method on (-f)^(-1/2), all but linear in the distance; a bracket keeps it safe.
+    """
+    if not 0.0 < share < 1.0:
+        return nan
+    if share == 0.5:
+        return 0.0
+    smaller = share if share < 0.5 else 1.0 - share
+    wanted = 1.0 / sqrt(-2.0 * even_part(lateral, half, other_half) * smaller)
+    low, high = 0.0, inf
+    x = 0.0
+    for _ in range(MOST_ITERATIONS):
+        f, slope = ahead_integral_and_slope(x, lateral, half, other_half)
+        value = 1.0 / sqrt(-f)
+        if value < wanted:
+            low = x
+        else:
+            high = x
+        step = (wanted - value) * 2.0 * -f / (value * slope)
+        following = x + step
+        if not low <= following <= high:
+            following = 0.5 * (low + high) if high < inf else 2.0 * low + 1.0
+        if abs(following - x) <= ROUNDING * following:
+            x = following
+            break
+        x = following
+    return x if share > 0.5 else -x
+
+
+@kernel
+def _even(span_ratio: FloatArray, i: int, m: int) -> float:
+    """Return E of birds i and i + 1."""
+    lateral = span_ratio[i, m] + span_ratio[i + 1, m] + TIP_SPACING
+    return even_part(
+        lateral, VORTEX_FRACTION * span_ratio[i, m], VORTEX_FRACTION * span_ratio[i + 1, m]
+    )
