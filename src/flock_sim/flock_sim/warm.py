@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile all kernels into the cache on disk, so that no flight waits for a compiler.
+"""Compile all kernels into the cache on disk, so that nobody waits for a compiler.
 
 `make setup` runs `python -m flock_sim.warm`.
 """
@@ -7,14 +7,17 @@
 from __future__ import annotations
 
 from flock_sim.core.aerodynamics import interaction_integral
-from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
+from flock_sim.core.equilibrium import equilibrium
+from flock_sim.core.flock import Flock
 from flock_sim.core.messages import Grant, Wing
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.protocol import BirdProtocol
+from flock_sim.core.stability import eigenvalues
 
 
 def warm() -> None:
-    """Call every kernel once, with the types that flights call it with."""
+    """Call every kernel of a flight once, with the types that flights call it with."""
     configuration = FlockConfiguration(birds=2, t_max=2.0)
     for _ in Monolith(configuration).fly():
         pass
@@ -26,5 +29,14 @@ def warm() -> None:
     interaction_integral(1.0, 2.0, 0.5, 0.5)
 
 
+def warm_steady_states() -> None:
+    """Do the same with what is known of flocks without flying them."""
+    for coupling in COUPLINGS:
+        flock = Flock.of(FlockConfiguration(birds=3, coupling=coupling))
+        state = equilibrium(flock)
+        eigenvalues(flock, state.spacing, state.speed)
+
+
 if __name__ == "__main__":
     warm()
+    warm_steady_states()

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steady state of all-to-all coupling: the least point of a convex function.
+
+At the common speed U* (see `steady_speed`) bird j feels D_ij = K_ij (E_ij + g(x_i - x_j)) of every
+other, K_ij = Gamma_i Gamma_j / (4 pi), with g = I - E odd and falling. The forces
+
+    F_j(x) = R_j - sum_i D_ij(x),    R_j = T_j - D_j(U*),
+
+are therefore minus the gradient of a strictly convex function of the positions. So there is one
+steady state at most, the Jacobian is a weighted Laplacian (weights K_ij f'(|x_i - x_j|)), and
+Newton's method finds the state from anywhere. There is none where some birds S, however far they
+fall behind all others and however much of their wake they see, still lose speed: where the share
+
+    s_S = (sum_{S} R_j - sum_{pairs in S} C_ij) / sum_{pairs across} C_ij,    C_ij = D_ij + D_ji,
+
+is 1 or more (a cut that carries less than it must). Newton's method then runs towards infinity,
+and one of the sets that lag behind in its iterates has such a share: proof that no formation
+exists.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.core.aerodynamics import ahead_integral_and_slope
+from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.steady_speed import balance, steady_square
+
+MOST_ITERATIONS = 200
+MOST_HALVINGS = 60
+
+CONVERGED = 1e-12
+"""Step, relative to the size of the flock, after which the next one is rounding only."""
+
+BALANCED = 1e-14
+"""Force, relative to the largest that birds need, and per b of the flock's size, below which it may
+be the rounding of positions: it is where a step doesn't halve it. Steps that lead anywhere do,
+however far there is to go."""
+
+OVERSHOOT = 0.5
+"""How much of the force along a step may have been turned round at its end."""
+
+FOUND, PARTED, NOT_CONVERGED = 0, 1, 2
+"""How the search for a steady state can end."""
+
+
+@kernel
+def fill_shares(
+    span_ratio: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    even: FloatArray,
+    cruise_ratio: float,
+    strength_unit: float,
+    square: FloatArray,
+    strength: FloatArray,
+    needed: FloatArray,
+    share: FloatArray,
+) -> None:
+    """Fill what is known without positions, for all members.
+
+    `cruise_ratio` is H_0, `strength_unit` = Gamma_min^2 / (4 pi k). Filled are U*^2, `square`
+    (members,); K_ij / k, `strength` (pairs, members); R_j / k, `needed` (birds, members); the
+    shares s_S of birds 1..i for each gap i, `share` (birds - 1, members). `span_ratio`, `pairs`
+    and `even` are as in `Flock`.
+    """
+    birds, members = span_ratio.shape
+    behind = np.empty(birds, dtype=np.bool_)
+    for m in range(members):
+        squares, fourths, saving = 0.0, 0.0, 0.0
+        for i in range(birds):
+            ratio = span_ratio[i, m] * span_ratio[i, m]
+            squares += ratio
+            fourths += ratio * ratio
+        for k in range(pairs.shape[0]):
+            product = span_ratio[pairs[k, 0], m] * span_ratio[pairs[k, 1], m]
+            strength[k, m] = product * product * strength_unit
+            saving += 2.0 * strength[k, m] * even[k, m]
+        square[m] = steady_square(squares, fourths, saving, cruise_ratio)
+        for k in range(pairs.shape[0]):
+            strength[k, m] /= square[m]
+        for i in range(birds):
+            needed[i, m] = balance(span_ratio[i, m], square[m], cruise_ratio)
+        behind[:] = False
+        for i in range(birds - 1):
+            behind[i] = True
+            share[i, m] = share_of(behind, needed[:, m], pairs, 2.0 * strength[:, m] * even[:, m])
+
+
+@kernel
+def share_of(
+    behind: npt.NDArray[np.bool_],
+    needed: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    saved: FloatArray,
+) -> float:
+    """Return s_S of the birds that are marked in `behind`, shape (birds,).
+
+    `needed` are R_j / k of the birds, `saved` C_ij / k of the pairs.
+    """
+    carried, across = 0.0, 0.0
+    for i in range(needed.shape[0]):
+        if behind[i]:
+            carried += needed[i]
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        if behind[i] != behind[j]:
+            across += saved[k]
+        elif behind[i]:
+            carried -= saved[k]
+    return carried / across
+
+
+@kernel
+def settle(
+    position: FloatArray,
+    needed: FloatArray,
+    half_span: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    lateral: FloatArray,
+    even: FloatArray,
+    strength: FloatArray,
+) -> tuple[int, float]:
+    """Find the steady state of one flock; return how it ended, and the largest share met.
+
+    `position` (birds,), in b, is where the search starts, and then what it found. `needed` are
+    R_j / k of the birds, `strength` K_ij / k of the pairs, the others as in `Flock`, one member's.
+    The end is FOUND, PARTED or NOT_CONVERGED; the share, of birds that lag behind together, is 1 or
+    more where PARTED.
+    """
+    saved = 2.0 * strength * even
+    force = np.empty_like(position)
+    stiffness = np.empty_like(strength)
+    trial = np.empty_like(position)
+    largest = np.max(np.abs(needed))
+    _forces(position, needed, half_span, pairs, lateral, even, strength, force, stiffness)
+    for _ in range(MOST_ITERATIONS):
+        order = np.argsort(position)
+        share = _largest_share(order, needed, pairs, saved)
+        if share >= 1.0:
+            return PARTED, share
+        step = _newton_step(order, force, pairs, stiffness)
+        along = np.dot(force, step)
+        if not np.isfinite(along):
+            break
+        size = 1.0 + position[order[-1]] - position[order[0]]
+        rest = np.max(np.abs(force))
+        if np.max(np.abs(step)) <= CONVERGED * size:
+            position += step
+            return FOUND, share
+        length = 1.0
+        for _ in range(MOST_HALVINGS):
+            trial[:] = position + length * step
+            _forces(trial, needed, half_span, pairs, lateral, even, strength, force, stiffness)
+            if np.dot(force, step) >= -OVERSHOOT * along:
+                break
+            length *= 0.5
+        position[:] = trial
+        if rest <= BALANCED * size * largest and np.max(np.abs(force)) > 0.5 * rest:
+            return FOUND, share
+    return NOT_CONVERGED, share
+
+
+@kernel
+def _forces(
+    position: FloatArray,
+    needed: FloatArray,
+    half_span: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    lateral: FloatArray,
+    even: FloatArray,
+    strength: FloatArray,
+    force: FloatArray,
+    stiffness: FloatArray,
+) -> None:
+    """Fill F_j / k and the stiffness K_ij f' / k of each pair, of one flock."""
+    force[:] = needed
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        x = position[j] - position[i]
+        ahead, slope = ahead_integral_and_slope(abs(x), lateral[k], half_span[i], half_span[j])
+        behind = 2.0 * even[k] - ahead
+        force[i] -= strength[k] * (behind if x > 0.0 else ahead)
+        force[j] -= strength[k] * (ahead if x > 0.0 else behind)
+        stiffness[k] = strength[k] * slope
+
+
+@kernel
+def _newton_step(
+    order: npt.NDArray[np.int64],
+    force: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    stiffness: FloatArray,
+) -> FloatArray:
+    """Return the changes of position that Newton's method takes, that of the middle bird 0.
+
+    It is found in terms of the distances between birds in the `order` in which they fly, each
+    scaled by its own stiffness: birds far apart are then no harder to move than those close by.
+    """
+    birds = len(order)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(birds)
+    matrix = np.zeros((birds - 1, birds - 1))
+    for k in range(pairs.shape[0]):
+        first = min(rank[pairs[k, 0]], rank[pairs[k, 1]])
+        last = max(rank[pairs[k, 0]], rank[pairs[k, 1]])
+        matrix[first:last, first:last] += stiffness[k]
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    pull = -np.cumsum(force[order])[:-1]
+    widening = scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * pull)
+    step = np.zeros(birds)
+    step[order[1:]] = np.cumsum(widening)
+    step -= step[birds // 2]
+    return step
+
+
+@kernel
+def _largest_share(
+    order: npt.NDArray[np.int64],
+    needed: FloatArray,
+    pairs: npt.NDArray[np.int64],
+    saved: FloatArray,
+) -> float:
+    """Return the largest share of a set of birds that lags behind all others in `order`."""
+    behind = np.zeros(len(order), dtype=np.bool_)
+    largest = -np.inf
+    for k in range(len(order) - 1):
+        behind[order[k]] = True
+        largest = max(largest, share_of(behind, needed, pairs, saved))
+    return largest

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steady state of any flock: whether it can fly in formation, how, and how firmly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.core import all_to_all, chain
+from flock_sim.core.flock import Flock
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.steady_speed import balances
+from flock_sim.errors import RunFailed
+
+TIE = 1e-9
+"""Difference of margins below which two gaps are as weak as each other."""
+
+CLOSEST_START = 0.02
+"""Where the search for the all-to-all state starts, no share is closer to 0 or 1 than this."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """The steady states of an ensemble; nan where there is none."""
+
+    exists: npt.NDArray[np.bool_]
+    """Whether the flock can fly in formation, shape (members,)."""
+    speed: FloatArray
+    """U*, shape (members,), in U_min."""
+    balanced_speed: FloatArray
+    """The speed at which all forces sum to 0, shape (members,): U*, if a formation exists.
+
+    nan where thrust balances drag at no speed.
+    """
+    spacing: FloatArray
+    """x_{i+1} - x_i, shape (birds - 1, members), in b."""
+    share: FloatArray
+    """What birds 1..i get of all that is saved across gap i, shape (birds - 1, members).
+
+    In (0, 1) where a formation exists; with nearest-neighbour coupling it is D_{i+1,i} / C_i. Where
+    none exists it is what a balance of forces at U* would need.
+    """
+    margin: FloatArray
+    """Least distance of a share from 0 or 1, shape (members,): below 0 where none exists.
+
+    With all-to-all coupling birds that are no neighbours can be left behind together: what their
+    share is beyond 1 counts as well. inf for a bird alone.
+    """
+    drag_reduction: FloatArray
+    """eta_i = -(sum_j D_ji) / D_0, shape (birds, members)."""
+
+    @property
+    def weakest_gap(self) -> npt.NDArray[np.int64]:
+        """The gap whose share is nearest to 0 or 1, shape (members,).
+
+        Gap i is between birds i and i + 1. The first of those that are equally weak, as a gap and
+        its mirror image are. 0 where there is none: a bird alone, or no speed that balances thrust
+        and drag.
+        """
+        if not len(self.share):
+            return np.zeros(len(self.exists), dtype=np.int64)
+        margin = np.minimum(self.share, 1.0 - self.share)
+        first = np.argmax(margin <= margin.min(axis=0) + TIE, axis=0) + 1
+        return np.where(np.isnan(margin).any(axis=0), 0, first)
+
+
+def equilibrium(flock: Flock) -> Equilibrium:
+    """Return the steady states of all members of `flock`: exact for `nearest`, Newton for `all`.
+
+    Raises RunFailed where Newton's method neither finds a state nor proves that there is none.
+    """
+    if flock.coupling == "nearest" or flock.birds == 1:
+        square, share = chain_shares(flock)
+        margin = _least_distance(share)
+        spacing = np.empty_like(share)
+        chain.fill_spacings(flock.span_ratio, share, spacing)
+    else:
+        square, share, spacing, margin = _all_to_all(flock)
+    exists = margin > 0.0
+    known = np.where(exists, square, np.nan)
+    spacing[:, ~exists] = np.nan
+    ratio = flock.scales.cruise_ratio
+    return Equilibrium(
+        exists=exists,
+        speed=np.sqrt(known),
+        balanced_speed=np.sqrt(square),
+        spacing=spacing,
+        share=share,
+        margin=margin,
+        # 0.0 - balance, not -balance: a bird alone saves 0, not -0.
+        drag_reduction=(0.0 - balances(flock.span_ratio, known, ratio)) / (2.0 * ratio),
+    )
+
+
+def chain_shares(flock: Flock) -> tuple[FloatArray, FloatArray]:
+    """Return U*^2 (members,) and the shares (birds - 1, members) of nearest-neighbour coupling."""
+    square = np.empty(flock.members)
+    share = np.empty((flock.birds - 1, flock.members))
+    scales = flock.scales
+    chain.fill_shares(flock.span_ratio, scales.cruise_ratio, scales.saving_ratio, square, share)
+    return square, share
+
+
+def _least_distance(share: FloatArray) -> FloatArray:
+    distance: FloatArray = np.minimum(share, 1.0 - share).min(axis=0, initial=np.inf)
+    return distance
+
+
+def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return U*^2, shares, spacings and margins of all-to-all coupling."""
+    square = np.empty(flock.members)
+    share = np.empty((flock.birds - 1, flock.members))
+    strength, needed = np.empty_like(flock.even), np.empty_like(flock.span_ratio)
+    all_to_all.fill_shares(
+        flock.span_ratio,
+        flock.pairs,
+        flock.even,
+        flock.scales.cruise_ratio,
+        0.5 * flock.scales.saving_ratio,
+        square,
+        strength,
+        needed,
+        share,
+    )
+    margin = _least_distance(share)
+    spacing = np.full_like(share, np.nan)
+    start = np.empty_like(share)
+    near = np.clip(chain_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
+    chain.fill_spacings(flock.span_ratio, near, start)
+    for m in np.flatnonzero(margin > 0.0):
+        position = np.concatenate([[0.0], np.cumsum(np.nan_to_num(start[:, m]))])
+        end, largest = all_to_all.settle(
+            position,
+            needed[:, m],
+            flock.half_span[:, m],
+            flock.pairs,
+            flock.lateral[:, m],
+            flock.even[:, m],
+            strength[:, m],
+        )
+        if end == all_to_all.NOT_CONVERGED:
+            raise RunFailed(
+                f"member {m + 1}: Newton's method neither found a steady state nor showed that "
+                f"there is none, in {all_to_all.MOST_ITERATIONS} iterations; its margin is below "
+                f"{margin[m]:.3g}"
+            )
+        margin[m] = min(margin[m], 1.0 - largest)
+        spacing[:, m] = np.diff(position)
+    return square, share, spacing, margin
