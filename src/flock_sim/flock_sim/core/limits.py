@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stability limits: the span ratios of one bird with which a flock holds together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.equilibrium import equilibrium
+from flock_sim.core.flock import Flock
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.parting import opening_gap, parts
+
+IntArray = npt.NDArray[np.int64]
+
+Trial = Callable[[FloatArray], IntArray]
+"""From span ratios (birds, members): 0 for a flock that holds together, else the gap that opens.
+
+NO_GAP where it doesn't hold together and no gap can be named.
+"""
+
+NO_GAP = -1
+
+GRID = 200
+"""Parts of the searched interval whose ends are tried first, where trials cost next to nothing."""
+
+EXACT = 1e-13
+"""Resolution of exact limits: what is left is the rounding of shares."""
+
+BEYOND = 1e-4
+"""How far outside of an exact limit it is seen how the flock comes apart."""
+
+LEAST_SUM = 1.0 + 1e-6
+"""What the span ratios of neighbours sum to at least."""
+
+
+@dataclass(frozen=True)
+class End:
+    """One end of the interval of lambda that keeps a formation."""
+
+    ratio: float
+    """lambda, to half the resolution."""
+    gap: int | None
+    """The gap that opens beyond it; None where there is no speed at which thrust balances drag."""
+    parts: list[list[int]] | None = None
+    """The birds that fly on together beyond it, the fastest part first, where that is known."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The interval of lambda of one bird that keeps the formation: the one of its present lambda.
+
+    Where that doesn't keep it, the nearest one that was found. An end is None where all of the
+    searched interval on that side keeps it; both are where `never`: none of it does.
+    """
+
+    bird: int
+    lower: End | None
+    upper: End | None
+    never: bool = False
+
+
+def modified_birds(configuration: FlockConfiguration) -> list[int]:
+    """Return the birds whose limits tell all: one wing of a flock that is its own mirror image."""
+    ratio = configuration.span_ratio
+    mirrored = np.array_equal(ratio, ratio[::-1])
+    last = (configuration.birds + 1) // 2 if mirrored else configuration.birds
+    return list(range(1, last + 1))
+
+
+def exact_limits(
+    configuration: FlockConfiguration, birds: Sequence[int], low: float, high: float
+) -> list[Limits]:
+    """Return the limits of each of `birds` in [low, high], by the existence of the steady state.
+
+    Exact to some 1e-13. `configuration` is of one member.
+    """
+
+    def trial(span_ratio: FloatArray) -> IntArray:
+        state = equilibrium(Flock.of(configuration, span_ratio))
+        return np.where(state.exists, 0, np.where(state.weakest_gap > 0, state.weakest_gap, NO_GAP))
+
+    def told(bird: int, end: End | None, outwards: float) -> End | None:
+        """Look how a flock beyond the limit parts: at the limit itself many gaps may be as weak."""
+        if end is None or end.gap is None:
+            return end
+        beyond = _modified(configuration, [bird], [end.ratio + outwards * BEYOND])
+        flock = Flock.of(configuration, beyond)
+        state = equilibrium(flock)
+        groups = parts(flock, state, 0)
+        return replace(end, gap=opening_gap(state, groups, 0) or end.gap, parts=groups)
+
+    found = search(configuration, birds, low, high, EXACT, trial, GRID)
+    return [
+        replace(
+            limits,
+            lower=told(limits.bird, limits.lower, -1.0),
+            upper=told(limits.bird, limits.upper, 1.0),
+        )
+        for limits in found
+    ]
+
+
+@dataclass
+class _Bracket:
+    """Two span ratios of a bird, of which the first keeps the formation and the second doesn't."""
+
+    bird: int
+    inside: float
+    outside: float
+    gap: int
+
+    @property
+    def width(self) -> float:
+        return abs(self.outside - self.inside)
+
+    def end(self) -> End:
+        return End(0.5 * (self.inside + self.outside), None if self.gap == NO_GAP else self.gap)
+
+
+def search(
+    configuration: FlockConfiguration,
+    birds: Sequence[int],
+    low: float,
+    high: float,
+    resolution: float,
+    trial: Trial,
+    grid: int = 1,
+    sections: int = 2,
+) -> list[Limits]:
+    """Return the limits of each of `birds` in [low, high], to `resolution`, by bisection.
+
+    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio.
+    Then all ends that were found are narrowed down at once, each into `sections` a round. Beside
+    small neighbours the interval begins where their vortices are still apart.
+    """
+    own = configuration.span_ratio[:, 0]
+    tried = []
+    for bird in birds:
+        beside = own[[k for k in (bird - 2, bird) if 0 <= k < len(own)]]
+        first = max(low, LEAST_SUM - beside.min())
+        tried.append(np.unique([*np.linspace(first, high, grid + 1), own[bird - 1]]))
+    counts = [len(ratios) for ratios in tried]
+    gaps = trial(_modified(configuration, np.repeat(birds, counts), np.concatenate(tried)))
+
+    never = set()
+    brackets: dict[tuple[int, str], _Bracket] = {}
+    for bird, ratios, opened in zip(birds, tried, np.split(gaps, np.cumsum(counts)[:-1])):
+        kept = np.flatnonzero(opened == 0)
+        if not len(kept):
+            never.add(bird)
+            continue
+        start = int(kept[np.argmin(np.abs(ratios[kept] - own[bird - 1]))])
+        for side, step in (("lower", -1), ("upper", 1)):
+            outside = start
+            while 0 <= outside < len(ratios) and opened[outside] == 0:
+                outside += step
+            if 0 <= outside < len(ratios):
+                brackets[bird, side] = _Bracket(
+                    bird, ratios[outside - step], ratios[outside], int(opened[outside])
+                )
+    _narrow(configuration, list(brackets.values()), resolution, trial, sections)
+    ends = {key: bracket.end() for key, bracket in brackets.items()}
+    return [
+        Limits(bird, ends.get((bird, "lower")), ends.get((bird, "upper")), bird in never)
+        for bird in birds
+    ]
+
+
+def _narrow(
+    configuration: FlockConfiguration,
+    brackets: list[_Bracket],
+    resolution: float,
+    trial: Trial,
+    sections: int,
+) -> None:
+    """Narrow all brackets down to `resolution`."""
+    while wide := [bracket for bracket in brackets if bracket.width > resolution]:
+        ratios = np.array(
+            [np.linspace(b.inside, b.outside, sections + 1)[1:-1] for b in wide]
+        )  # (brackets, sections - 1)
+        birds = np.repeat([bracket.bird for bracket in wide], ratios.shape[1])
+        gaps = trial(_modified(configuration, birds, ratios.ravel())).reshape(ratios.shape)
+        for bracket, between, opened in zip(wide, ratios, gaps):
+            for ratio, gap in zip(between, opened):
+                if gap:
+                    bracket.outside, bracket.gap = float(ratio), int(gap)
+                    break
+                bracket.inside = float(ratio)
+
+
+def _modified(
+    configuration: FlockConfiguration,
+    birds: Sequence[int] | IntArray,
+    ratios: Sequence[float] | FloatArray,
+) -> FloatArray:
+    """Return the flock with one bird modified at a time, shape (birds, members)."""
+    span_ratio = np.repeat(configuration.span_ratio[:, :1], len(ratios), axis=1)
+    span_ratio[np.asarray(birds) - 1, np.arange(len(ratios))] = ratios
+    return span_ratio
