@@ -42,3 +42,24 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
             bar.update(task, completed=reached, time=configuration.time(reached), rate=rate)
 
         yield show
+
+
+@contextmanager
+def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Give a function that takes how much is done of `total`; shows it, the rate and time left."""
+    if not sys.stderr.isatty():
+        yield lambda done: None
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TaskProgressColumn(),
+        TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),
+        TimeRemainingColumn(compact=True),
+    )
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
+        task = bar.add_task(what, total=total, rate=0.0)
+        begun = time.monotonic()
+        yield lambda done: bar.update(
+            task, completed=done, rate=done / max(1e-9, time.monotonic() - begun)
+        )

@@ -41,7 +41,7 @@ def _member(metrics: Metrics, m: int) -> list[str]:
         f"  mean drag reduction  {100 * metrics.mean_drag_reduction[m]:.2f} %",
     ]
     if metrics.birds > 1:
-        lines += _wings(metrics, m)
+        lines += wings(metrics.spacing[m], metrics.drag_reduction[m], metrics.leader)
     if metrics.leader > 2:
         order = "falls" if metrics.hierarchical[m] else "does not fall"
         lines += [f"  hierarchy            spacing {order} from tail to leader"]
@@ -51,24 +51,27 @@ def _member(metrics: Metrics, m: int) -> list[str]:
     return lines
 
 
-def _wings(metrics: Metrics, m: int) -> list[str]:
-    """Return spacing and drag saved along the left wing; along the right one where it differs."""
-    head = metrics.leader - 1
-    spacing, saved = metrics.spacing[m], 100.0 * metrics.drag_reduction[m]
+def wings(spacing: FloatArray, drag_reduction: FloatArray, leader: int) -> list[str]:
+    """Return spacing and drag saved along the left wing; along the right one where it differs.
+
+    `spacing` has shape (birds - 1,), in b, `drag_reduction` (birds,), of two birds or more.
+    """
+    head = leader - 1
+    saved = 100.0 * drag_reduction
     left, right = spacing[:head], -spacing[head:][::-1]
     left_saved, right_saved = saved[: head + 1], saved[head:][::-1]
     if len(right) == 0:
-        return [*_row("spacing", left, 4), *_row("drag saved, %", left_saved, 1)]
+        return [*row("spacing", left, 4), *row("drag saved, %", left_saved, 1)]
     if _alike(left, right, 5e-4) and _alike(left_saved, right_saved, 0.05):
         return [
-            *_row("spacing, left wing", left, 4),
-            *_row("drag saved, %", left_saved, 1),
+            *row("spacing, left wing", left, 4),
+            *row("drag saved, %", left_saved, 1),
         ]
     return [
-        *_row("spacing, left wing", left, 4),
-        *_row("spacing, right wing", right, 4),
-        *_row("drag saved, %, left", left_saved, 1),
-        *_row("drag saved, %, right", right_saved, 1),
+        *row("spacing, left wing", left, 4),
+        *row("spacing, right wing", right, 4),
+        *row("drag saved, %, left", left_saved, 1),
+        *row("drag saved, %, right", right_saved, 1),
     ]
 
 
@@ -76,10 +79,10 @@ def _alike(left: FloatArray, right: FloatArray, tolerance: float) -> bool:
     return len(left) == len(right) and np.allclose(left, right, rtol=0.0, atol=tolerance)
 
 
-def _row(name: str, values: FloatArray, digits: int) -> list[str]:
-    """Return values from tail to leader, in as many lines as they need."""
+def row(name: str, values: FloatArray, digits: int, order: str = "(tail to leader)") -> list[str]:
+    """Return values, in as many lines as they need; `order` says which is which."""
     cells = [f"{value:8.{digits}f}" for value in values]
     rows = [cells[k : k + WIDTH] for k in range(0, len(cells), WIDTH)]
-    lines = [f"  {'':<20} {' '.join(row)}" for row in rows]
-    lines[0] = f"  {name:<20} {' '.join(rows[0])}   (tail to leader)"
+    lines = [f"  {'':<20} {' '.join(line)}" for line in rows]
+    lines[0] = f"  {name:<20} {' '.join(rows[0])}   {order}"
     return lines

@@ -22,8 +22,8 @@ from flock_sim.core.steady_speed import balance, steady_square
 MOST_ITERATIONS = 100
 """More than any gap needs: bisection alone would be done after some 60."""
 
-ROUNDING = 4e-16
-"""Relative size of a step below which a gap is found."""
+LAST_STEP = 1e-9
+"""Relative size of a step after which a gap is found: Newton's next would be its square."""
 
 
 @kernel
@@ -104,10 +104,10 @@ def gap_of_share(share: float, lateral: float, half: float, other_half: float) -
         following = x + step
         if not low <= following <= high:
             following = 0.5 * (low + high) if high < inf else 2.0 * low + 1.0
-        if abs(following - x) <= ROUNDING * following:
-            x = following
-            break
+        last = abs(following - x) <= LAST_STEP * following
         x = following
+        if last:
+            break
     return x if share > 0.5 else -x
 
 

@@ -45,8 +45,8 @@ class Equilibrium:
     margin: FloatArray
     """Least distance of a share from 0 or 1, shape (members,): below 0 where none exists.
 
-    With all-to-all coupling birds that are no neighbours can be left behind together: what their
-    share is beyond 1 counts as well. inf for a bird alone.
+    With all-to-all coupling birds that are no neighbours can be left behind together: if they are,
+    what their share is beyond 1 counts as well. inf for a bird alone.
     """
     drag_reduction: FloatArray
     """eta_i = -(sum_j D_ji) / D_0, shape (birds, members)."""
@@ -146,6 +146,7 @@ def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, Float
                 f"there is none, in {all_to_all.MOST_ITERATIONS} iterations; its margin is below "
                 f"{margin[m]:.3g}"
             )
-        margin[m] = min(margin[m], 1.0 - largest)
+        if end == all_to_all.PARTED:
+            margin[m] = min(margin[m], 1.0 - largest)
         spacing[:, m] = np.diff(position)
     return square, share, spacing, margin

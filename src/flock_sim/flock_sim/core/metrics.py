@@ -50,8 +50,8 @@ class Metrics:
     None where it does not apply: not homogeneous, not nearest-neighbour, or N even."""
 
     def as_json(self) -> dict[str, object]:
-        """Return plain lists and numbers; what is not finite becomes None: JSON has no nan."""
-        return {name: _plain(value) for name, value in vars(self).items()}
+        """Return plain lists and numbers, None for what is not finite."""
+        return {name: plain(value) for name, value in vars(self).items()}
 
 
 def measure(
@@ -123,11 +123,12 @@ def _profile_error(configuration: FlockConfiguration, left: FloatArray) -> list[
     return errors
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
+    """Return arrays as lists, and None for what is not finite: JSON has no nan."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cmp_to_key
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
 from flock_sim.core.equilibrium import TIE, Equilibrium
 from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.steady_speed import balances
+
+IntArray = npt.NDArray[np.int64]
 
 TOGETHER = 1e-8
 """Difference of speeds, in U_min, below which two birds fly on together."""
@@ -35,8 +39,8 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
     all of it. The birds use that to stay together; the force F_j that is left gives bird j the
     speed U* + F_j / Q_j, Q_j the mean slope of its drag in between. A pair that flies at one speed
     shares within (0, 1); one that parts has given all it has to the slower. These are the
-    conditions of the least of sum_j F_j^2 / Q_j over all shares in [0, 1]: a least-squares problem
-    with bounds, solved again with the C_ij and Q_j at the speeds that it gives.
+    conditions of the least of sum_j F_j^2 / Q_j over all shares in [0, 1], found again and again
+    with the C_ij and Q_j at the speeds that it gives.
     """
     ratio = flock.span_ratio[:, member]
     common = float(equilibrium.balanced_speed[member])
@@ -45,24 +49,77 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
     needed = balances(ratio, common**2, flock.scales.cruise_ratio)
     tail, head = flock.pairs.T
     constant = flock.scales.saving_ratio * (ratio[tail] * ratio[head]) ** 2 * flock.even[:, member]
-    pair = np.arange(len(constant))
+    least = _taut_string if flock.coupling == "nearest" else _least_squares
     over = np.zeros(flock.birds)
     for _ in range(ROUNDS):
         speed = common + over
         saved = constant / (speed[tail] * speed[head])
-        weight = 1.0 / np.maximum(_slope(ratio, common, speed), LEAST_SLOPE)
-        given = np.zeros((flock.birds, len(pair)))
-        given[tail, pair], given[head, pair] = saved, -saved
-        left = needed.copy()
-        np.subtract.at(left, head, saved)
-        root = np.sqrt(weight)
-        share = lsq_linear(
-            root[:, np.newaxis] * given, root * left, (0.0, 1.0), method="bvls", tol=1e-14
-        ).x
-        before, over = over, np.clip(weight * (left - given @ share), -MOST * common, MOST * common)
+        slope = np.maximum(_slope(ratio, common, speed), LEAST_SLOPE)
+        before, over = (
+            over,
+            np.clip(least(flock.pairs, needed, saved, slope), -MOST * common, MOST * common),
+        )
         if np.abs(over - before).max() < 0.01 * TOGETHER:
             break
     return _together(over, flock.coupling == "nearest")
+
+
+def _least_squares(
+    pairs: IntArray, needed: FloatArray, saved: FloatArray, slope: FloatArray
+) -> FloatArray:
+    """Return F_j / Q_j, shape (birds,), by least squares with bounds: for any pairs.
+
+    `needed` R_j and `slope` Q_j have shape (birds,), `saved` C_ij (pairs,), all over k.
+    """
+    tail, head = pairs.T
+    pair = np.arange(len(saved))
+    given = np.zeros((len(needed), len(saved)))
+    given[tail, pair], given[head, pair] = saved, -saved
+    left = needed.copy()
+    np.subtract.at(left, head, saved)
+    root = np.sqrt(slope)
+    share = lsq_linear(
+        given / root[:, np.newaxis], left / root, (0.0, 1.0), method="bvls", tol=1e-14
+    ).x
+    over: FloatArray = (left - given @ share) / slope
+    return over
+
+
+def _taut_string(
+    pairs: IntArray, needed: FloatArray, saved: FloatArray, slope: FloatArray
+) -> FloatArray:
+    """Return the same as `_least_squares` for birds in a chain, in no time.
+
+    Y_j, the sum of the forces left on birds 1..j, may lie anywhere between low_j and low_j - C_j,
+    as the pair of gap j shares; Y_0 and Y_N are fixed. Drawn against the sum of the slopes, the
+    least of sum_j (Y_j - Y_{j-1})^2 / Q_j is a string pulled tight through these gates. Its
+    slopes are the speeds; it bends where birds part.
+    """
+    across = np.concatenate([[0.0], np.cumsum(slope)])
+    low = np.concatenate([[0.0], np.cumsum(needed - np.concatenate([[0.0], saved]))])
+    high = low - np.concatenate([[0.0], saved, [0.0]])
+    over = np.empty_like(needed)
+    at, height = 0, 0.0
+    while at < len(needed):
+        least, most, last_low, last_high = -np.inf, np.inf, at, at
+        for gate in range(at + 1, len(low)):
+            reach = across[gate] - across[at]
+            from_low, from_high = (low[gate] - height) / reach, (high[gate] - height) / reach
+            if from_low > most or from_high < least:
+                break
+            if from_low >= least:
+                least, last_low = from_low, gate
+            if from_high <= most:
+                most, last_high = from_high, gate
+        if from_low > most:
+            corner, steepness, height = last_high, most, high[last_high]
+        elif from_high < least:
+            corner, steepness, height = last_low, least, low[last_low]
+        else:
+            corner, steepness = len(needed), from_low
+        over[at:corner] = steepness
+        at = corner
+    return over
 
 
 def _slope(ratio: FloatArray, common: float, speed: FloatArray) -> FloatArray:
@@ -81,7 +138,16 @@ def _together(over: FloatArray, in_line: bool) -> list[list[int]]:
         if abs(over[bird] - over[before]) > TOGETHER:
             groups.append([])
         groups[-1].append(int(bird))
-    groups.sort(key=lambda group: -max(over[i] for i in group))
+    speed = {min(group): float(over[group].max()) for group in groups}
+
+    def compare(one: list[int], other: list[int]) -> int:
+        """Put the faster first; of mirror images, which fly at one speed, the left one."""
+        difference = speed[min(other)] - speed[min(one)]
+        if abs(difference) > TOGETHER:
+            return 1 if difference > 0.0 else -1
+        return min(one) - min(other)
+
+    groups.sort(key=cmp_to_key(compare))
     return [sorted(i + 1 for i in group) for group in groups]
 
 

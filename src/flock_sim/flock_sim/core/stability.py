@@ -45,7 +45,7 @@ def eigenvalues(flock: Flock, spacing: FloatArray, speed: FloatArray) -> Complex
     spacings in place of positions, in which nothing is left of it.
     """
     birds, members = flock.birds, flock.members
-    found = np.full((members, 2 * birds - 1), np.nan, dtype=np.complex128)
+    found = np.full((members, 2 * birds - 1), complex(np.nan, np.nan))
     known = np.flatnonzero(np.isfinite(speed))
     for first in range(0, len(known), BLOCK):
         block = known[first : first + BLOCK]
