@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steady state of a flock, without flying it: `flock equilibrium`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flock_sim.command_line import (
+    Parser,
+    add_flock_options,
+    flock_configuration,
+    print_json,
+    run_tool,
+)
+from flock_sim.core import formation
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.equilibrium import Equilibrium, equilibrium
+from flock_sim.core.flock import Flock
+from flock_sim.core.metrics import plain
+from flock_sim.core.parting import opening_gap, parts
+from flock_sim.core.stability import ComplexArray, eigenvalues
+from flock_sim.summary import MOST_MEMBERS, row, wings
+
+MOST_WORK = 1e10
+"""Birds cubed times members up to which eigenvalues are computed: some minutes."""
+
+DESCRIPTION = """\
+Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
+state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
+Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
+Exit status: 0, whatever the answer is; 2 bad input."""
+
+EXAMPLES = """\
+  ./flock equilibrium --birds 13
+  ./flock equilibrium --span-ratio 4=0.95,1.0,1.08 --coupling all
+  ./flock equilibrium --birds 31 --json | jq '.spacing[0]'"""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """All that is said of the steady states of a flock's members."""
+
+    configuration: FlockConfiguration
+    state: Equilibrium
+    eigenvalues: ComplexArray | None
+    """Shape (members, 2 birds - 1), from the largest real part down; nan without a formation.
+
+    None for a flock so large that they would take long.
+    """
+    parts: list[list[list[int]]]
+    """Of each member: the birds that fly on together, the fastest part first."""
+    weakest_gap: list[int]
+    """Of each member: the gap nearest to opening, or the one that opens; 0 where there is none."""
+
+    @classmethod
+    def of(cls, configuration: FlockConfiguration) -> Assessment:
+        """Return what can be said of the flock of a configuration."""
+        flock = Flock.of(configuration)
+        state = equilibrium(flock)
+        everybody = list(range(1, configuration.birds + 1))
+        groups = [
+            [everybody] if state.exists[m] else parts(flock, state, m) for m in range(flock.members)
+        ]
+        weakest = [
+            int(state.weakest_gap[m]) if state.exists[m] else opening_gap(state, groups[m], m)
+            for m in range(flock.members)
+        ]
+        found = None
+        if 8.0 * flock.birds**3 * flock.members <= MOST_WORK:
+            found = eigenvalues(flock, state.spacing, state.speed)
+        return cls(configuration, state, found, groups, weakest)
+
+    @property
+    def stable(self) -> list[bool | None]:
+        """Whether a formation exists, and small disturbances of it die out; None: not computed."""
+        if self.eigenvalues is None:
+            return [None if ok else False for ok in self.state.exists]
+        return [bool(ok) for ok in self.eigenvalues[:, 0].real < 0.0]
+
+    @property
+    def leading_eigenvalue(self) -> list[complex]:
+        """The eigenvalue of largest real part of each member, but for the translation's; nan."""
+        if self.eigenvalues is None:
+            return [complex(np.nan, np.nan)] * len(self.state.exists)
+        return list(self.eigenvalues[:, 0].tolist())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the contract's keys, and a few more."""
+        state, configuration = self.state, self.configuration
+        facts = {
+            "birds": configuration.birds,
+            "members": configuration.members,
+            "coupling": configuration.coupling,
+            "exists": state.exists,
+            "speed": state.speed,
+            "spacing": state.spacing.T,
+            "share": state.share.T,
+            "margin": state.margin,
+            "drag_reduction": state.drag_reduction.T,
+            "stable": self.stable,
+            "leading_eigenvalue": [[value.real, value.imag] for value in self.leading_eigenvalue],
+            "weakest_gap": [gap or None for gap in self.weakest_gap],
+            "parts": self.parts,
+            "lateral": formation.lateral_positions(configuration.span_ratio).T,
+        }
+        return {name: plain(value) for name, value in facts.items()}
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Solve for the steady state of a flock and say what it is."""
+    parser = Parser("equilibrium", DESCRIPTION, EXAMPLES)
+    add_flock_options(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    options = parser.parse_args(arguments)
+    assessment = Assessment.of(flock_configuration(options))
+    if options.json:
+        print_json(assessment.as_json())
+    else:
+        print(told(assessment))
+    return 0
+
+
+def told(assessment: Assessment) -> str:
+    """Return the result as people read it."""
+    configuration = assessment.configuration
+    birds, members = configuration.birds, configuration.members
+    flock = f"{birds} bird{'s' * (birds > 1)}, {configuration.coupling} coupling"
+    lines = [flock + (f", {members} members" if members > 1 else "")]
+    for m in range(min(members, MOST_MEMBERS)):
+        lines += ["", f"member {m + 1}"] if members > 1 else []
+        lines += _formation(assessment, m) if assessment.state.exists[m] else _none(assessment, m)
+    if members > MOST_MEMBERS:
+        lines += ["", f"... and {members - MOST_MEMBERS} members more"]
+    if members > 1:
+        count = int(assessment.state.exists.sum())
+        lines += ["", f"{count} of {members} members can fly in formation"]
+    return "\n".join(lines)
+
+
+def birds_told(birds: Sequence[int]) -> str:
+    """Return "bird 3", "birds 1 to 4 and 7"."""
+    runs: list[list[int]] = []
+    for bird in birds:
+        if runs and bird == runs[-1][-1] + 1:
+            runs[-1].append(bird)
+        else:
+            runs.append([bird])
+    texts = [
+        f"{run[0]} to {run[-1]}" if len(run) > 2 else " and ".join(map(str, run)) for run in runs
+    ]
+    listed = " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
+    return f"bird{'s' * (len(birds) > 1)} {listed}"
+
+
+def _formation(assessment: Assessment, m: int) -> list[str]:
+    state, birds = assessment.state, assessment.configuration.birds
+    leading = assessment.leading_eigenvalue[m]
+    stable = {True: "stable", False: "unstable", None: "too many birds to tell whether stable"}[
+        assessment.stable[m]
+    ]
+    metres = state.speed[m] * assessment.configuration.min_drag_speed
+    lines = [
+        f"  verdict              can fly in formation, {stable}"
+        if birds > 1
+        else f"  verdict              flies alone, {stable}",
+        f"  speed U*             {state.speed[m]:.9f} U_min ({metres:.2f} m/s)",
+        f"  mean drag reduction  {100.0 * state.drag_reduction[:, m].mean():.2f} %",
+    ]
+    if birds > 1:
+        gap = assessment.weakest_gap[m]
+        lines += wings(state.spacing[:, m], state.drag_reduction[:, m], formation.leader(birds))
+        lines += row("share D/C", state.share[:, m], 4, "(gap 1, 2, ...)")
+        lines += [
+            f"  weakest gap          {gap}, between {birds_told([gap, gap + 1])}: "
+            f"share {state.share[gap - 1, m]:.4f}, margin {state.margin[m]:.4g}"
+        ]
+    if np.isnan(leading):
+        return lines
+    what = "decays" if leading.real < 0.0 else "grows"
+    swing = f", swings once in {2.0 * np.pi / abs(leading.imag):.4g}" if leading.imag else ""
+    return [
+        *lines,
+        f"  leading eigenvalue   {leading.real:.5e}"
+        + (f" +- {abs(leading.imag):.5e} i" if leading.imag else ""),
+        f"  a disturbance        {what} e-fold in {1.0 / abs(leading.real):.4g}{swing} b/U_min",
+    ]
+
+
+def _none(assessment: Assessment, m: int) -> list[str]:
+    state, groups, gap = assessment.state, assessment.parts[m], assessment.weakest_gap[m]
+    if not gap:
+        return ["  verdict              no formation: at no speed is the thrust of all their drag"]
+    lines = [
+        "  verdict              no formation: "
+        f"gap {gap} opens, between {birds_told([gap, gap + 1])}",
+        "  parts, fastest first " + "; ".join(birds_told(group) for group in groups),
+        f"  margin               {state.margin[m]:.4g}",
+    ]
+    return lines + row("share D/C needed", state.share[:, m], 4, "(gap 1, 2, ...)")
+
+
+def main() -> int:
+    """Run the `equilibrium` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

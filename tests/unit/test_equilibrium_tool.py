@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`equilibrium` keeps its contract, and says in words what it found."""
+
+import json
+
+import numpy as np
+import pytest
+
+from flock_sim.command_line import run_tool
+from flock_tools.equilibrium import birds_told, tool
+
+LISTS = {
+    *("exists", "speed", "margin", "stable", "weakest_gap", "leading_eigenvalue"),
+    *("spacing", "share", "drag_reduction"),
+}
+
+
+def solved(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
+    assert run_tool(tool, [*arguments, "--json"]) == 0
+    told = capsys.readouterr()
+    assert told.err == ""
+    return json.loads(told.out)
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert run_tool(tool, arguments) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("coupling", ["nearest", "all"])
+def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[str]) -> None:
+    # Member 3: its leader is far too small.
+    found = solved(
+        capsys, "--birds", "5", "--coupling", coupling, "--span-ratio", "3=1.0,1.05,0.55"
+    )
+    assert found.keys() >= LISTS
+    shapes = {
+        **dict.fromkeys(("exists", "speed", "margin", "stable", "weakest_gap"), (3,)),
+        **dict.fromkeys(("spacing", "share"), (3, 4)),
+        "drag_reduction": (3, 5),
+        "leading_eigenvalue": (3, 2),
+    }
+    assert {key: np.shape(found[key]) for key in shapes} == shapes
+    assert found["exists"] == [True, True, False]
+    assert found["stable"] == [True, True, False]
+    for m in (0, 1):
+        share = np.array(found["share"][m])
+        assert np.all((share > 0.0) & (share < 1.0))
+        assert found["margin"][m] == np.minimum(share, 1.0 - share).min() > 0.0
+        assert found["leading_eigenvalue"][m][0] < 0.0
+        assert found["parts"][m] == [[1, 2, 3, 4, 5]]
+    assert found["margin"][2] < 0.0
+    assert found["speed"][2] is None
+    assert found["spacing"][2] == [None] * 4
+    assert found["leading_eigenvalue"][2] == [None, None]
+    assert found["weakest_gap"][2] in (2, 3)
+    assert found["parts"][2][-1] == [3]
+
+
+def test_a_bird_alone_has_its_own_speed_and_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    found = solved(capsys, "--birds", "1")
+    assert found["speed"] == pytest.approx([18.5 / 18.0], rel=1e-14)
+    assert (found["spacing"], found["share"], found["weakest_gap"]) == ([[]], [[]], [None])
+    assert (found["exists"], found["stable"], found["margin"]) == ([True], [True], [None])
+    assert found["drag_reduction"] == [[0.0]]
+    assert "flies alone, stable" in told(capsys, "--birds", "1")
+
+
+def test_a_formation_is_told_with_its_weakest_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "--birds", "7")
+    assert "7 birds, nearest coupling" in text
+    assert "can fly in formation, stable" in text
+    # The closed form: D/C of gap i is 1 - i/N.
+    assert "weakest gap          1, between birds 1 and 2: share 0.8571, margin 0.1429" in text
+
+
+def test_what_parts_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    text = told(capsys, "--birds", "7", "--span-ratio", "4=0.6")
+    assert "no formation: gap 3 opens, between birds 3 and 4" in text
+    assert "birds 1 to 3; birds 5 to 7; bird 4" in text
+
+
+def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) -> None:
+    # Below lambda H_0 = 1 a bird alone has no cruising speed, and here no neighbour saves enough.
+    small = [f"--span-ratio={bird}=0.55" for bird in (1, 2)]
+    assert "at no speed is the thrust of all their drag" in told(capsys, "--birds", "2", *small)
+    found = solved(capsys, "--birds", "2", *small)
+    assert (found["exists"], found["margin"], found["weakest_gap"]) == ([False], [None], [None])
+    assert found["parts"] == [[]]
+
+
+def test_many_members_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
+    ratios = ",".join(f"{1.0 + 0.02 * k:g}" for k in range(20))
+    text = told(capsys, "--birds", "5", "--span-ratio", f"3={ratios}")
+    assert "... and 8 members more" in text
+    # The upper limit of an interior bird is 1.0747: members of 1, 1.02, 1.04 and 1.06 fly.
+    assert text.splitlines()[-1] == "4 of 20 members can fly in formation"
+
+
+@pytest.mark.parametrize(
+    ("birds", "text"),
+    [
+        ([3], "bird 3"),
+        ([1, 2], "birds 1 and 2"),
+        ([1, 2, 3], "birds 1 to 3"),
+        ([1, 2, 3, 7], "birds 1 to 3 and 7"),
+        ([1, 3, 5, 6, 7, 8], "birds 1, 3 and 5 to 8"),
+    ],
+)
+def test_birds_are_listed_in_words(birds: list[int], text: str) -> None:
+    assert birds_told(birds) == text
+
+
+def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_tool(tool, ["--birds", "0"]) == 2
+    assert capsys.readouterr() == ("", "error: birds = 0: must be 1 or more\n")
+    assert run_tool(tool, ["--bird", "3"]) == 2
+    assert capsys.readouterr().err.startswith("error: unrecognized arguments: --bird 3")
