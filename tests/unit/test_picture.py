@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from flock_sim.command_line import run_tool
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.run import Run
-from flock_tools import picture
+from flock_tools import picture_file
 from flock_tools.birds_eye import DRAG_SAVED
 from flock_tools.dataset import read
 from flock_tools.drawing import draw
@@ -25,7 +25,7 @@ HETEROGENEOUS = FlockConfiguration(birds=7, t_max=100.0, span_ratios=("2=1.0,1.3
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, "RESOLUTION", 40)
+    monkeypatch.setattr(picture_file, "RESOLUTION", 40)
 
 
 @pytest.fixture(scope="module")

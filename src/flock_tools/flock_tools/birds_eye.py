@@ -19,8 +19,7 @@ from flock_sim.core import formation
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import Metrics
-
-INK, FAINT, PALE = "#22303c", "#8a949d", "#bfc6cc"
+from flock_tools.style import FAINT, INK, PALE
 
 # Light saves little and dark much; the lightest end, which vanishes on paper, is left out.
 DRAG_SAVED = LinearSegmentedColormap.from_list(

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
@@ -15,33 +13,15 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import STABLE_BELOW, Metrics
-from flock_tools.birds_eye import FAINT, INK, Scene, draw_formation
+from flock_tools.birds_eye import Scene, draw_formation
+from flock_tools.style import ALARM, FAINT, INK, STYLE, flock_name
 
 WIDTH = 9.0  # in
 MARGINS = 1.75  # in, beside the formation: labels and colour bar
 CURVES = 2.2  # in, height
-MOST_ODD = 4
-"""Birds of another span that are named."""
-
 MOST_NAMED = 6
 """Spacings that are named."""
 
-ALARM = "#b5382a"
-STYLE: dict[Any, Any] = {
-    "axes.edgecolor": FAINT,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "mathtext.fontset": "dejavusans",
-    "text.color": INK,
-    "xtick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.color": FAINT,
-    "ytick.labelcolor": INK,
-}
 TIME = "time t (b/$U_\\mathrm{min}$)"
 
 
@@ -78,18 +58,6 @@ def draw(
 
 
 def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str:
-    flock = f"{metrics.birds} bird{'s' * (metrics.birds > 1)}"
-    if metrics.birds > 1:
-        how = {"nearest": "nearest-neighbour", "all": "all-to-all"}[metrics.coupling]
-        flock += f", {how} coupling"
-    if metrics.members > 1:
-        flock += f", member {m + 1} of {metrics.members}"
-    ratio = configuration.span_ratio[:, m]
-    odd = np.flatnonzero(ratio != 1.0)
-    if 0 < len(odd) <= MOST_ODD:
-        flock += "".join(f", $\\lambda_{{{i + 1}}}$ = {ratio[i]:g}" for i in odd)
-    elif len(odd):
-        flock += f", $\\lambda$ from {ratio.min():g} to {ratio.max():g}"
     facts = []
     if metrics.birds > 1:
         together = "holds together" if metrics.stable[m] else "does not hold together"
@@ -98,7 +66,7 @@ def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str
         f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
         f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",
     ]
-    return f"{flock}\nt = {metrics.t_final:g}:  {',  '.join(facts)}"
+    return f"{flock_name(configuration, m)}\nt = {metrics.t_final:g}:  {',  '.join(facts)}"
 
 
 def _speed(axes: Axes, history: xr.Dataset) -> Axes:

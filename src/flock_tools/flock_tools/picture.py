@@ -6,24 +6,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
-
-from matplotlib.figure import Figure
 
 from flock_sim.bag.output import PICTURE_FILE
 from flock_sim.command_line import Parser, note, run_tool, whole_number
-from flock_sim.errors import FlockError
 from flock_sim.run import Run
 from flock_tools.dataset import read
 from flock_tools.drawing import draw
 from flock_tools.moment import add_moment_option, moment
+from flock_tools.picture_file import picture_format, write_picture
 
 MOST_TIMES = 2000
 """Moments of the flight that its curves are drawn through."""
-
-RESOLUTION = 200
-"""Of the picture, in dots per inch."""
 
 DESCRIPTION = """\
 Draw the formation at one moment, each bird coloured by the drag it saves, above the way the flock
@@ -48,6 +42,8 @@ def tool(arguments: Sequence[str]) -> int:
     )
     options = parser.parse_args(arguments)
     time = moment(options)
+    output = _output(options)
+    picture_format(output)
     with Run(options.run) as run:
         if run.missing:
             note(f"note: {run.missing}; what is whole of it is drawn")
@@ -56,24 +52,9 @@ def tool(arguments: Sequence[str]) -> int:
         rows = run.at().step // run.configuration.record_every + 1
         history = read(run, stride=-(-rows // MOST_TIMES)).sel(member=member)
         figure = draw(run.configuration, metrics, history, member)
-    output = _output(options)
-    _write(figure, output)
+    write_picture(figure, output)
     print(output)
     return 0
-
-
-def _write(figure: Figure, output: Path) -> None:
-    """Write the picture in the format that the name ends in, PNG where it has no ending."""
-    kind = output.suffix.lstrip(".").lower() or "png"
-    kinds = figure.canvas.get_supported_filetypes()
-    if kind not in kinds:
-        raise FlockError(f"--output {output}: must end in one of {', '.join(sorted(kinds))}")
-    picture = BytesIO()
-    figure.savefig(picture, dpi=RESOLUTION, format=kind)
-    try:
-        output.write_bytes(picture.getbuffer())
-    except OSError as error:
-        raise FlockError(f"--output {output}: can't be written: {error.strerror}") from error
 
 
 def _output(options: argparse.Namespace) -> Path:
