@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many flocks flown at once, without ROS and without recording: which of them hold together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Event, Lock
+
+import numpy as np
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.limits import NO_GAP, IntArray
+from flock_sim.core.metrics import STABLE_BELOW
+from flock_sim.core.monolith import Monolith
+from flock_tools.workers import Workers
+
+AT_ONCE = 1_000_000
+"""Steps of a pair between two looks at whether to go on: some tenths of a second."""
+
+ALIKE = 1e-9
+"""Difference of speeds, in U_min, below which two gaps open as fast as each other."""
+
+Told = Callable[[int], None]
+
+
+def opened_gaps(
+    configuration: FlockConfiguration,
+    span_ratio: FloatArray,
+    halt: Event | None = None,
+    told: Told | None = None,
+) -> IntArray:
+    """Fly an ensemble to t_max; return 0 for a flock that holds together, else the gap that opens.
+
+    The paper's criterion: sigma_U < 1e-4 at t_max, from the V of the homogeneous flock at U_0. Of
+    the others, the gap (from 1) whose birds differ most in speed; NO_GAP where speeds are no
+    numbers. `span_ratio` has shape (birds, members), the result (members,). `told` is called with
+    the member-steps just taken; once `halt` is set, the flight ends and the result means nothing.
+    """
+    steps, members = configuration.steps, span_ratio.shape[1]
+    flight = Monolith(replace(configuration, record_every=steps, span_ratios=()), span_ratio)
+    most = max(1, AT_ONCE // (max(1, len(flight.flock.pairs)) * members))
+    while flight.step < steps and not (halt and halt.is_set()):
+        count = min(most, steps - flight.step)
+        flight.advance(count)
+        if told:
+            told(count * members)
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.abs(np.diff(flight.speed, axis=0))
+        holds = flight.speed.std(axis=0) < STABLE_BELOW
+    most_apart = apart.max(axis=0, initial=0.0)
+    first = np.argmax(apart >= most_apart - ALIKE, axis=0) + 1 if len(apart) else NO_GAP
+    return np.where(holds, 0, np.where(np.isfinite(most_apart), first, NO_GAP))
+
+
+@dataclass
+class Ensembles:
+    """Flies ensembles over all workers, and counts."""
+
+    configuration: FlockConfiguration
+    workers: Workers
+    show: Told = lambda member_steps: None
+    """Is told all member-steps taken so far."""
+    member_steps: int = 0
+
+    def opened_gaps(self, span_ratio: FloatArray) -> IntArray:
+        """Do as the function of this name does, each worker on a part of the members."""
+        halt, lock = Event(), Lock()
+
+        def told(member_steps: int) -> None:
+            with lock:
+                self.member_steps += member_steps
+                self.show(self.member_steps)
+
+        count = min(self.workers.count, span_ratio.shape[1])
+        blocks = np.array_split(span_ratio, count, axis=1)
+        # Neither crosses to another machine.
+        here = (halt, told) if self.workers.local else ()
+        futures = [
+            self.workers.executor.submit(opened_gaps, self.configuration, block, *here)
+            for block in blocks
+        ]
+        try:
+            gaps = np.concatenate([future.result() for future in futures])
+        except BaseException:
+            halt.set()
+            for future in futures:
+                future.cancel()
+            raise
+        if not self.workers.local:
+            told(span_ratio.shape[1] * self.configuration.steps)
+        return gaps

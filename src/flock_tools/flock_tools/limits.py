@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's stability diagram: `flock limits`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from flock_sim.command_line import (
+    Parser,
+    add_flock_options,
+    flock_configuration,
+    print_json,
+    run_tool,
+    whole_number,
+)
+from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.limits import End, Limits, exact_limits, modified_birds, search
+from flock_sim.core.metrics import STABLE_BELOW
+from flock_sim.errors import FlockError
+from flock_sim.progress import counter
+from flock_sim.warm import warm, warm_steady_states
+from flock_tools.ensemble import Ensembles
+from flock_tools.workers import workers
+
+METHODS = ("exact", "integrate")
+
+BETWEEN = "0.5,1.5"
+"""The paper's range of span ratios."""
+
+RESOLUTION = "1e-3"
+
+LEAST_RESOLUTION = 1e-12
+"""Halving a span ratio's interval further would end in its rounding."""
+
+LANES = 8
+"""Members that each worker should have at a time: one alone costs twice as much."""
+
+DESCRIPTION = """\
+Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
+in formation, and the gap that opens at each end.
+exact: by the existence of the steady state.
+integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
+the homogeneous flock; bisection to --resolution.
+Birds are those of the left wing where the flock is its own mirror image."""
+
+EXAMPLES = """\
+  ./flock limits --birds 13 --output limits.png
+  ./flock limits --coupling all --json | jq '.limits[0]'
+  ./flock limits --method integrate --t-max 1e5 --resolution 1e-3
+  ./flock limits --method integrate --t-max 1e5 --scheduler tcp://127.0.0.1:8786"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Find the limits and say what they are."""
+    parser = Parser("limits", DESCRIPTION, EXAMPLES)
+    add_flock_options(parser)
+    limits = parser.add_argument_group("limits")
+    limits.add_argument("--method", metavar="|".join(METHODS), default="exact", help="(exact)")
+    limits.add_argument(
+        "--bird", metavar="I[,I...]", help="birds that are modified (the left wing, or all)"
+    )
+    limits.add_argument(
+        "--between",
+        metavar="LO,HI",
+        default=BETWEEN,
+        help=f"span ratios that are searched ({BETWEEN})",
+    )
+    limits.add_argument(
+        "--resolution",
+        metavar="X",
+        help=f"width that intervals of integrate are halved to ({RESOLUTION})",
+    )
+    limits.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose cluster integrates (the cores of this machine)",
+    )
+    result = parser.add_argument_group("result")
+    result.add_argument(
+        "--output", metavar="FILE", type=Path, help="draw the diagram: png, svg, pdf"
+    )
+    result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    options = parser.parse_args(arguments)
+    configuration = _flock(options)
+    birds = _birds(options, configuration)
+    low, high = _between(options)
+    draw = _drawing(options)
+    if options.method == "exact":
+        for name in ("resolution", "scheduler"):
+            if getattr(options, name) is not None:
+                raise FlockError(f"--{name} is for --method integrate: exact limits need none")
+        warm_steady_states()
+        begun = time.perf_counter()
+        found = exact_limits(configuration, birds, low, high)
+        how: dict[str, Any] = {"seconds": time.perf_counter() - begun}
+    elif options.method == "integrate":
+        found, how = _integrate(options, configuration, birds, low, high)
+    else:
+        raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
+    draw(found, configuration, low, high)
+    facts = {
+        "birds": configuration.birds,
+        "coupling": configuration.coupling,
+        "method": options.method,
+        "limits": [_as_json(limits) for limits in found],
+        "between": [low, high],
+        "as_given": all(_holds(limits, configuration) for limits in found),
+        **how,
+    }
+    if options.json:
+        print_json(facts)
+    else:
+        print(told(found, facts))
+        if options.output is not None:
+            print(f"drawn: {options.output}")
+    return 0
+
+
+def _integrate(
+    options: argparse.Namespace,
+    configuration: FlockConfiguration,
+    birds: Sequence[int],
+    low: float,
+    high: float,
+) -> tuple[list[Limits], dict[str, Any]]:
+    """Return the limits by the paper's protocol, and how they were found."""
+    resolution = _resolution(options.resolution or RESOLUTION)
+    warm()  # loading compiled code is no part of the rate
+    with workers(options.scheduler) as crew:
+        # Bisection wherever that keeps all workers busy, else more parts a round.
+        sections = max(2, 1 + crew.count * LANES // (2 * len(birds)))
+        rounds = math.ceil(math.log((high - low) / resolution) / math.log(sections))
+        trials = len(birds) * (3 + 2 * max(0, rounds) * (sections - 1))
+        with counter("integrating", "member-steps", trials * configuration.steps) as show:
+            fleet = Ensembles(configuration, crew, show)
+            begun = time.perf_counter()
+            found = search(
+                configuration, birds, low, high, resolution, fleet.opened_gaps, sections=sections
+            )
+            seconds = time.perf_counter() - begun
+    return found, {
+        "resolution": resolution,
+        "dt": configuration.dt,
+        "t_max": configuration.t_max,
+        "workers": crew.count,
+        "seconds": seconds,
+        "member_steps": fleet.member_steps,
+        "member_steps_per_second": fleet.member_steps / seconds,
+    }
+
+
+def _holds(limits: Limits, configuration: FlockConfiguration) -> bool:
+    """Tell whether the bird's present span ratio keeps the formation."""
+    ratio = configuration.span_ratio[limits.bird - 1, 0]
+    low = limits.lower.ratio if limits.lower else -math.inf
+    high = limits.upper.ratio if limits.upper else math.inf
+    return not limits.never and low <= ratio <= high
+
+
+def _as_json(limits: Limits) -> dict[str, Any]:
+    facts: dict[str, Any] = {"bird": limits.bird}
+    for side, end in (("lower", limits.lower), ("upper", limits.upper)):
+        facts[side] = end and end.ratio
+        facts[f"{side}_gap"] = end and end.gap
+        facts[f"{side}_parts"] = end and end.parts
+    return {**facts, "never": limits.never}
+
+
+def told(found: Sequence[Limits], facts: dict[str, Any]) -> str:
+    """Return the limits as people read them."""
+    low, high = facts["between"]
+    lines = [
+        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios of "
+        f"{low:g} to {high:g} that keep the formation",
+    ]
+    digits = 12 if facts["method"] == "exact" else 2 - round(math.log10(facts["resolution"]))
+    width = digits + 3
+    lines.append(f"  bird   {'lower':<{width}}  opens   {'upper':<{width}}  opens")
+    for limits in found:
+        if limits.never:
+            lines.append(
+                f"  {limits.bird:4}   none: no span ratio of this bird was found that does"
+            )
+            continue
+        ends = [
+            f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
+            if end
+            else f"{f'{side} {edge:g}':<{width}}  {'':<5}"
+            for end, side, edge in ((limits.lower, "below", low), (limits.upper, "above", high))
+        ]
+        lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
+    if not facts["as_given"]:
+        lines.append(
+            "as given the flock can't fly in formation: intervals are those nearest to it"
+            if facts["method"] == "exact"
+            else f"as given the flock has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
+            "intervals are those nearest to it; a longer flight (--t-max) may settle"
+        )
+    if facts["method"] == "exact":
+        lines.append(f"computed in {facts['seconds']:.3f} s")
+    else:
+        lines.append(
+            f"flown to t = {facts['t_max']:g} in steps of {facts['dt']:g}: "
+            f"{facts['member_steps']:,} member-steps in {facts['seconds']:.1f} s, "
+            f"{facts['member_steps_per_second']:,.0f} a second, {facts['workers']} workers"
+        )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _opens(end: End) -> str:
+    return f"gap {end.gap}" if end.gap else "none"
+
+
+def _drawing(options: argparse.Namespace) -> Callable[..., None]:
+    """Return what draws the diagram; refuse a name that no picture can have before we compute."""
+    if options.output is None:
+        return lambda *diagram: None
+    # Not above: half a second, for which only pictures wait.
+    from flock_tools.figure_limits import draw_limits
+    from flock_tools.picture_file import picture_format, write_picture
+
+    picture_format(options.output)
+    return lambda *diagram: write_picture(draw_limits(*diagram), options.output)
+
+
+def _flock(options: argparse.Namespace) -> FlockConfiguration:
+    configuration = flock_configuration(options)
+    if configuration.birds < 2:
+        raise FlockError(f"birds = {configuration.birds}: limits need a formation, of 2 or more")
+    if configuration.members > 1:
+        raise FlockError(
+            f"span ratios of {configuration.members} members: limits are of one flock; give one "
+            "span ratio to each bird"
+        )
+    return configuration
+
+
+def _birds(options: argparse.Namespace, configuration: FlockConfiguration) -> list[int]:
+    if options.bird is None:
+        return modified_birds(configuration)
+    named = (text.strip() for text in options.bird.split(","))
+    return [whole_number("--bird", bird, 1, configuration.birds) for bird in named]
+
+
+def _between(options: argparse.Namespace) -> tuple[float, float]:
+    try:
+        low, high = (float(text) for text in options.between.split(","))
+    except ValueError:
+        low, high = math.nan, math.nan
+    if not 0.0 < low < high < math.inf:
+        raise FlockError(
+            f"--between {options.between}: must be two span ratios LO,HI with 0 < LO < HI, such as "
+            f"{BETWEEN}"
+        )
+    return low, high
+
+
+def _resolution(text: str) -> float:
+    try:
+        resolution = float(text)
+    except ValueError:
+        resolution = math.nan
+    if not LEAST_RESOLUTION <= resolution < 1.0:
+        raise FlockError(
+            f"--resolution {text}: must be a number from {LEAST_RESOLUTION:g} to below 1"
+        )
+    return resolution
+
+
+def main() -> int:
+    """Run the `limits` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
