@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest.
 
-.PHONY: setup demo test lint bench clean help
+.PHONY: setup demo test lint bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
 	@tools/setup
@@ -21,6 +21,10 @@ lint: setup  ## check style and types
 	@./flock python -m ruff check
 	@./flock python -m ruff format --check
 	@./flock python -m mypy
+
+figures: setup  ## redraw all figures in docs/figures
+	@./flock figures
+	@./flock survey --samples 20000 --output docs/figures/survey.png
 
 bench: setup  ## measure throughput
 	@if grep -q '^[^#]' requirements/bench.txt; then \

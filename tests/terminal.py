@@ -30,6 +30,10 @@ TOOLS = {
     "metrics": "flock_tools.metrics",
     "compare": "flock_tools.compare",
     "picture": "flock_tools.picture",
+    "figures": "flock_tools.figures",
+    "equilibrium": "flock_tools.equilibrium",
+    "limits": "flock_tools.limits",
+    "survey": "flock_tools.survey",
 }
 
 DEADLINE = 120.0

@@ -18,6 +18,10 @@ setup(
             "metrics=flock_tools.metrics:main",
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
+            "figures=flock_tools.figures:main",
+            "equilibrium=flock_tools.equilibrium:main",
+            "limits=flock_tools.limits:main",
+            "survey=flock_tools.survey:main",
         ],
     },
 )

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steady formations in numbers: where everybody flies, and what it saves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flock_sim.core import formation
+from flock_sim.core.equilibrium import equilibrium
+from flock_sim.core.flock import Flock
+from flock_sim.core.kernel import FloatArray
+
+
+@dataclass(frozen=True)
+class Steady:
+    """Steady states of the members of a flock; nan where there is none."""
+
+    along: FloatArray
+    """x_i from the leader, shape (birds, members), in b."""
+    across: FloatArray
+    """y_i from the leader, shape (birds, members), in b."""
+    speed: FloatArray
+    """U*, shape (members,), in U_min."""
+    drag_reduction: FloatArray
+    """eta_i, shape (birds, members)."""
+
+
+def steady(flock: Flock) -> Steady:
+    """Return the steady states of all members of `flock`."""
+    state = equilibrium(flock)
+    along = np.zeros_like(flock.span_ratio)
+    along[1:] = np.cumsum(state.spacing, axis=0)
+    along -= along[formation.leader(flock.birds) - 1]
+    return Steady(
+        along=along,
+        across=formation.lateral_positions(flock.span_ratio),
+        speed=state.speed,
+        drag_reduction=state.drag_reduction,
+    )
