@@ -5,11 +5,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from flock_sim.core.configuration import FlockConfiguration
 
@@ -17,19 +24,11 @@ from flock_sim.core.configuration import FlockConfiguration
 @contextmanager
 def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Callable[[int], None]]:
     """Give a function that takes the step reached; shows it, simulated time, rate and time left."""
-    if not sys.stderr.isatty():
-        yield lambda step: None
-        return
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TaskProgressColumn(),
         TextColumn("step {task.completed:.0f}/{task.total:.0f}  t = {task.fields[time]:.6g}"),
         TextColumn("{task.fields[rate]:.0f} steps/s"),
-        TimeRemainingColumn(compact=True),
     )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
-        task = bar.add_task(what, total=configuration.steps, time=0.0, rate=0.0)
+    with _bar(what, configuration.steps, columns) as update:
         begun: list[tuple[float, int]] = []
 
         def show(step: int) -> None:
@@ -39,7 +38,7 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
             if begun and step > begun[0][1]:
                 rate = (step - begun[0][1]) / (time.monotonic() - begun[0][0])
             reached = max(step, 0)
-            bar.update(task, completed=reached, time=configuration.time(reached), rate=rate)
+            update(completed=reached, time=configuration.time(reached), rate=rate)
 
         yield show
 
@@ -47,19 +46,27 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
 @contextmanager
 def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], None]]:
     """Give a function that takes how much is done of `total`; shows it, the rate and time left."""
-    if not sys.stderr.isatty():
-        yield lambda done: None
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TaskProgressColumn(),
-        TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),
-        TimeRemainingColumn(compact=True),
-    )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
-        task = bar.add_task(what, total=total, rate=0.0)
+    columns = (TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),)
+    with _bar(what, total, columns) as update:
         begun = time.monotonic()
-        yield lambda done: bar.update(
-            task, completed=done, rate=done / max(1e-9, time.monotonic() - begun)
-        )
+        yield lambda done: update(completed=done, rate=done / max(1e-9, time.monotonic() - begun))
+
+
+@contextmanager
+def _bar(
+    what: str, total: float, columns: Iterable[ProgressColumn]
+) -> Iterator[Callable[..., None]]:
+    """Give a function that updates the fields of a bar with `columns`; on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda **fields: None
+        return
+    ends = (TextColumn("{task.description}"), BarColumn(bar_width=None), TaskProgressColumn())
+    with Progress(
+        *ends,
+        *columns,
+        TimeRemainingColumn(compact=True),
+        console=Console(stderr=True),
+        refresh_per_second=5,
+    ) as bar:
+        task = bar.add_task(what, total=total, time=0.0, rate=0.0)
+        yield lambda **fields: bar.update(task, **fields)

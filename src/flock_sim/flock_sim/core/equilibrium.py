@@ -78,7 +78,7 @@ def equilibrium(flock: Flock) -> Equilibrium:
         chain.fill_spacings(flock.span_ratio, share, spacing)
     else:
         square, share, spacing, margin = _all_to_all(flock)
-    exists = margin > 0.0
+    exists = (margin > 0.0) & np.isfinite(square)
     known = np.where(exists, square, np.nan)
     spacing[:, ~exists] = np.nan
     ratio = flock.scales.cruise_ratio

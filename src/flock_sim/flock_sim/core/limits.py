@@ -116,6 +116,7 @@ class _Bracket:
 
     @property
     def width(self) -> float:
+        """Distance of the two."""
         return abs(self.outside - self.inside)
 
     def end(self) -> End:
@@ -134,7 +135,8 @@ def search(
 ) -> list[Limits]:
     """Return the limits of each of `birds` in [low, high], to `resolution`, by bisection.
 
-    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio.
+    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio if
+    it is among them.
     Then all ends that were found are narrowed down at once, each into `sections` a round. Beside
     small neighbours the interval begins where their vortices are still apart.
     """
@@ -142,8 +144,9 @@ def search(
     tried = []
     for bird in birds:
         beside = own[[k for k in (bird - 2, bird) if 0 <= k < len(own)]]
-        first = max(low, LEAST_SUM - beside.min())
-        tried.append(np.unique([*np.linspace(first, high, grid + 1), own[bird - 1]]))
+        first = max(low, LEAST_SUM - beside.min(initial=np.inf))
+        ratios = np.append(np.linspace(first, high, grid + 1), own[bird - 1])
+        tried.append(np.unique(np.clip(ratios, first, high)))
     counts = [len(ratios) for ratios in tried]
     gaps = trial(_modified(configuration, np.repeat(birds, counts), np.concatenate(tried)))
 
@@ -178,8 +181,8 @@ def _narrow(
     trial: Trial,
     sections: int,
 ) -> None:
-    """Narrow all brackets down to `resolution`."""
-    while wide := [bracket for bracket in brackets if bracket.width > resolution]:
+    """Narrow all brackets down to `resolution`, or to where numbers are further apart than that."""
+    while wide := [b for b in brackets if b.width > max(resolution, 4.0 * np.spacing(b.outside))]:
         ratios = np.array(
             [np.linspace(b.inside, b.outside, sections + 1)[1:-1] for b in wide]
         )  # (brackets, sections - 1)

@@ -40,7 +40,8 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
     speed U* + F_j / Q_j, Q_j the mean slope of its drag in between. A pair that flies at one speed
     shares within (0, 1); one that parts has given all it has to the slower. These are the
     conditions of the least of sum_j F_j^2 / Q_j over all shares in [0, 1], found again and again
-    with the C_ij and Q_j at the speeds that it gives.
+    with the C_ij and Q_j at the speeds that it gives. Speeds further than MOST from U* are cut off:
+    birds that slow have no steady speed of their own.
     """
     ratio = flock.span_ratio[:, member]
     common = float(equilibrium.balanced_speed[member])
