@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`equilibrium` keeps its contract, and says in words what it found."""
 
-import json
-
 import numpy as np
 import pytest
 
-from flock_sim.command_line import run_tool
 from flock_tools.equilibrium import birds_told, tool
+from unit.tool_runs import error_of, json_of, text_of
 
 LISTS = {
     *("exists", "speed", "margin", "stable", "weakest_gap", "leading_eigenvalue"),
@@ -15,23 +13,11 @@ LISTS = {
 }
 
 
-def solved(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    assert run_tool(tool, [*arguments, "--json"]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    return json.loads(told.out)
-
-
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert run_tool(tool, arguments) == 0
-    return capsys.readouterr().out
-
-
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[str]) -> None:
     # Member 3: its leader is far too small.
-    found = solved(
-        capsys, "--birds", "5", "--coupling", coupling, "--span-ratio", "3=1.0,1.05,0.55"
+    found = json_of(
+        tool, capsys, "--birds", "5", "--coupling", coupling, "--span-ratio", "3=1.0,1.05,0.55"
     )
     assert found.keys() >= LISTS
     shapes = {
@@ -58,16 +44,16 @@ def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[s
 
 
 def test_a_bird_alone_has_its_own_speed_and_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
-    found = solved(capsys, "--birds", "1")
+    found = json_of(tool, capsys, "--birds", "1")
     assert found["speed"] == pytest.approx([18.5 / 18.0], rel=1e-14)
     assert (found["spacing"], found["share"], found["weakest_gap"]) == ([[]], [[]], [None])
     assert (found["exists"], found["stable"], found["margin"]) == ([True], [True], [None])
     assert found["drag_reduction"] == [[0.0]]
-    assert "flies alone, stable" in told(capsys, "--birds", "1")
+    assert "flies alone, stable" in text_of(tool, capsys, "--birds", "1")
 
 
 def test_a_formation_is_told_with_its_weakest_gap(capsys: pytest.CaptureFixture[str]) -> None:
-    text = told(capsys, "--birds", "7")
+    text = text_of(tool, capsys, "--birds", "7")
     assert "7 birds, nearest coupling" in text
     assert "can fly in formation, stable" in text
     # The closed form: D/C of gap i is 1 - i/N.
@@ -75,7 +61,7 @@ def test_a_formation_is_told_with_its_weakest_gap(capsys: pytest.CaptureFixture[
 
 
 def test_what_parts_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    text = told(capsys, "--birds", "7", "--span-ratio", "4=0.6")
+    text = text_of(tool, capsys, "--birds", "7", "--span-ratio", "4=0.6")
     assert "no formation: gap 3 opens, between birds 3 and 4" in text
     assert "birds 1 to 3; birds 5 to 7; bird 4" in text
 
@@ -83,15 +69,17 @@ def test_what_parts_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None
 def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) -> None:
     # Below lambda H_0 = 1 a bird alone has no cruising speed, and here no neighbour saves enough.
     small = [f"--span-ratio={bird}=0.55" for bird in (1, 2)]
-    assert "at no speed is the thrust of all their drag" in told(capsys, "--birds", "2", *small)
-    found = solved(capsys, "--birds", "2", *small)
+    assert "at no speed is the thrust of all their drag" in text_of(
+        tool, capsys, "--birds", "2", *small
+    )
+    found = json_of(tool, capsys, "--birds", "2", *small)
     assert (found["exists"], found["margin"], found["weakest_gap"]) == ([False], [None], [None])
     assert found["parts"] == [[]]
 
 
 def test_many_members_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
     ratios = ",".join(f"{1.0 + 0.02 * k:g}" for k in range(20))
-    text = told(capsys, "--birds", "5", "--span-ratio", f"3={ratios}")
+    text = text_of(tool, capsys, "--birds", "5", "--span-ratio", f"3={ratios}")
     assert "... and 8 members more" in text
     # The upper limit of an interior bird is 1.0747: members of 1, 1.02, 1.04 and 1.06 fly.
     assert text.splitlines()[-1] == "4 of 20 members can fly in formation"
@@ -112,7 +100,5 @@ def test_birds_are_listed_in_words(birds: list[int], text: str) -> None:
 
 
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_tool(tool, ["--birds", "0"]) == 2
-    assert capsys.readouterr() == ("", "error: birds = 0: must be 1 or more\n")
-    assert run_tool(tool, ["--bird", "3"]) == 2
-    assert capsys.readouterr().err.startswith("error: unrecognized arguments: --bird 3")
+    assert error_of(tool, capsys, "--birds", "0") == "error: birds = 0: must be 1 or more\n"
+    assert "unrecognized arguments: --bird 3" in error_of(tool, capsys, "--bird", "3")

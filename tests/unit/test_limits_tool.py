@@ -1,35 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """`limits` keeps its contract, by either method and on either kind of workers."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flock_sim.command_line import run_tool
 from flock_tools.limits import tool
-
-
-def found(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    assert run_tool(tool, [*arguments, "--json"]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    return json.loads(told.out)
-
-
-def error(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert run_tool(tool, arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("error: ")
-    assert told.err.count("\n") == 1
-    return told.err
+from unit.tool_runs import error_of, json_of, text_of
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[str]) -> None:
-    result = found(capsys, "--birds", "7", "--coupling", coupling)
+    result = json_of(tool, capsys, "--birds", "7", "--coupling", coupling)
     assert (result["birds"], result["coupling"], result["method"]) == (7, coupling, "exact")
     assert [limit["bird"] for limit in result["limits"]] == [1, 2, 3, 4]
     for limit in result["limits"]:
@@ -44,9 +27,18 @@ def test_integrating_finds_the_exact_limits_to_its_resolution(
     # Five birds settle by t = 2e4: e-folding takes some 1.6e3, ten of which take the start's spread
     # of 0.1 below 1e-5. Near a limit a flock escapes, or settles, ever more slowly: that widens the
     # comparison, by some 1e-3 as docs/results.md shows, to either side.
-    exact = found(capsys, "--birds", "5")
-    flown = found(
-        capsys, "--birds", "5", "--method", "integrate", "--t-max", "2e4", "--resolution", "2e-3"
+    exact = json_of(tool, capsys, "--birds", "5")
+    flown = json_of(
+        tool,
+        capsys,
+        "--birds",
+        "5",
+        "--method",
+        "integrate",
+        "--t-max",
+        "2e4",
+        "--resolution",
+        "2e-3",
     )
     assert flown["member_steps"] >= 3 * 3 * 20000
     for one, other in zip(exact["limits"], flown["limits"], strict=True):
@@ -62,7 +54,7 @@ def test_a_dask_cluster_finds_what_this_machine_finds(
     from distributed import LocalCluster
 
     arguments = ("--birds", "3", "--method", "integrate", "--t-max", "1e4", "--bird", "2,3")
-    here = found(capsys, *arguments)
+    here = json_of(tool, capsys, *arguments)
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
@@ -70,37 +62,37 @@ def test_a_dask_cluster_finds_what_this_machine_finds(
         dashboard_address=None,
         local_directory=str(tmp_path),
     ) as cluster:
-        there = found(capsys, *arguments, "--scheduler", cluster.scheduler_address)
+        there = json_of(tool, capsys, *arguments, "--scheduler", cluster.scheduler_address)
     assert there["workers"] == 2
     assert there["limits"] == here["limits"]
     assert there["member_steps"] == here["member_steps"]
 
 
 def test_an_interval_without_a_limit_is_told_plainly(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_tool(tool, ["--birds", "3", "--between", "0.9,1.05", "--bird", "2"]) == 0
-    assert "below 0.9" in (text := capsys.readouterr().out)
+    text = text_of(tool, capsys, "--birds", "3", "--between", "0.9,1.05", "--bird", "2")
+    assert "below 0.9" in text
     assert "above 1.05" in text
-    inside = found(capsys, "--birds", "3", "--between", "0.9,1.05", "--bird", "2")["limits"][0]
+    inside = json_of(tool, capsys, "--birds", "3", "--between", "0.9,1.05", "--bird", "2")[
+        "limits"
+    ][0]
     assert (inside["lower"], inside["upper"], inside["never"]) == (None, None, False)
 
 
 def test_a_flock_that_never_flies_is_told_plainly(capsys: pytest.CaptureFixture[str]) -> None:
     flock = ("--birds", "5", "--span-ratio", "2=0.8", "--bird", "1,5")
-    assert run_tool(tool, flock) == 0
-    assert "none: no span ratio of this bird was found that does" in (
-        text := capsys.readouterr().out
-    )
+    text = text_of(tool, capsys, *flock)
+    assert "none: no span ratio of this bird was found that does" in text
     assert "as given the flock can't fly in formation" in text
-    result = found(capsys, *flock)
+    result = json_of(tool, capsys, *flock)
     assert [limit["never"] for limit in result["limits"]] == [True, True]
     assert not result["as_given"]
 
 
 def test_both_wings_are_searched_where_they_differ(capsys: pytest.CaptureFixture[str]) -> None:
-    result = found(capsys, "--birds", "5", "--span-ratio", "2=1.01")
+    result = json_of(tool, capsys, "--birds", "5", "--span-ratio", "2=1.01")
     assert [limit["bird"] for limit in result["limits"]] == [1, 2, 3, 4, 5]
     # Bird 2's own limits do not depend on what it is now.
-    same = found(capsys, "--birds", "5", "--bird", "2")["limits"][0]
+    same = json_of(tool, capsys, "--birds", "5", "--bird", "2")["limits"][0]
     np.testing.assert_allclose(
         [result["limits"][1]["lower"], result["limits"][1]["upper"]],
         [same["lower"], same["upper"]],
@@ -114,27 +106,27 @@ def test_the_diagram_is_drawn(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / f"limits.{kind}"
-    assert run_tool(tool, ["--birds", "5", "--output", str(output)]) == 0
-    assert f"drawn: {output}" in capsys.readouterr().out
+    text = text_of(tool, capsys, "--birds", "5", "--output", str(output))
+    assert f"drawn: {output}" in text
     assert output.stat().st_size > 1000
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "limits need a formation" in error(capsys, "--birds", "1")
-    assert "give one span ratio" in error(capsys, "--span-ratio", "3=0.9,1.0")
-    assert "--between 1.5,0.5" in error(capsys, "--between", "1.5,0.5")
-    assert "did you mean 'exact'" in error(capsys, "--method", "exakt")
-    assert "--bird 14: must be a whole number, 1..13" in error(capsys, "--bird", "14")
-    assert "for --method integrate" in error(capsys, "--resolution", "1e-3")
-    assert "--resolution 0" in error(capsys, "--method", "integrate", "--resolution", "0")
+    assert "limits need a formation" in error_of(tool, capsys, "--birds", "1")
+    assert "give one span ratio" in error_of(tool, capsys, "--span-ratio", "3=0.9,1.0")
+    assert "--between 1.5,0.5" in error_of(tool, capsys, "--between", "1.5,0.5")
+    assert "did you mean 'exact'" in error_of(tool, capsys, "--method", "exakt")
+    assert "--bird 14: must be a whole number, 1..13" in error_of(tool, capsys, "--bird", "14")
+    assert "for --method integrate" in error_of(tool, capsys, "--resolution", "1e-3")
+    assert "--resolution 0" in error_of(tool, capsys, "--method", "integrate", "--resolution", "0")
     nothing = tmp_path / "limits.txt"
-    assert "must end in one of" in error(capsys, "--birds", "3", "--output", str(nothing))
+    assert "must end in one of" in error_of(tool, capsys, "--birds", "3", "--output", str(nothing))
     assert not nothing.exists()
     missing = tmp_path / "missing" / "limits.png"
-    assert "can't be written" in error(capsys, "--birds", "3", "--output", str(missing))
+    assert "can't be written" in error_of(tool, capsys, "--birds", "3", "--output", str(missing))
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     # Nobody listens on the port of `discard`; a connection is refused at once.
-    line = error(capsys, "--method", "integrate", "--scheduler", "tcp://127.0.0.1:9")
+    line = error_of(tool, capsys, "--method", "integrate", "--scheduler", "tcp://127.0.0.1:9")
     assert "no Dask scheduler answers there" in line

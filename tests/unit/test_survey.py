@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A survey counts what is drawn, the same whoever computes, and with honest intervals."""
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -10,29 +9,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.command_line import run_tool
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.equilibrium import equilibrium
+from flock_sim.core.flock import Flock
 from flock_tools.population import BLOCK, SMALLEST, Distribution, Fraction, survey
 from flock_tools.survey import tool
 from flock_tools.workers import Workers
+from unit.tool_runs import error_of, json_of, text_of
 
 
 def crew(count: int) -> Workers:
     return Workers(ThreadPoolExecutor(count), count, local=True)
 
 
-def found(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    assert run_tool(tool, [*arguments, "--json"]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    return json.loads(told.out)
-
-
 def test_the_json_says_what_was_drawn_and_what_became_of_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    result = found(
-        capsys, "--birds", "3,7", "--spread", "0.01,0.03", "--samples", "2500", "--seed", "5"
+    result = json_of(
+        tool, capsys, "--birds", "3,7", "--spread", "0.01,0.03", "--samples", "2500", "--seed", "5"
     )
     assert (result["seed"], result["coupling"], result["flocks"]) == (5, "nearest", 10000)
     assert result["flocks_per_second"] > 0.0
@@ -78,9 +72,6 @@ def test_every_flock_of_two_alike_but_for_one_breaks_where_the_limit_says() -> N
     population = survey(
         FlockConfiguration(birds=2), Distribution.uniform(0.5, 1.5), 20000, (1,), crew(1)
     )
-    from flock_sim.core.equilibrium import equilibrium
-    from flock_sim.core.flock import Flock
-
     axis = np.linspace(0.5, 1.5, 201)[:-1] + 0.0025
     ratio = np.stack([side.ravel() for side in np.meshgrid(axis, axis)])
     fraction = equilibrium(Flock.of(FlockConfiguration(birds=2), ratio)).exists.mean()
@@ -111,8 +102,8 @@ def test_no_span_ratio_is_so_small_that_vortices_meet() -> None:
 
 def test_a_survey_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "survey.svg"
-    assert run_tool(tool, ["--birds", "3", "--samples", "200", "--output", str(output)]) == 0
-    assert f"drawn: {output}" in capsys.readouterr().out
+    text = text_of(tool, capsys, "--birds", "3", "--samples", "200", "--output", str(output))
+    assert f"drawn: {output}" in text
     assert "flocks that can fly in formation" in output.read_text(encoding="utf-8")
 
 
@@ -135,9 +126,4 @@ def test_a_survey_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_bad_input_is_one_line(
     arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run_tool(tool, arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("error: ")
-    assert words in told.err
-    assert told.err.count("\n") == 1
+    assert words in error_of(tool, capsys, *arguments)

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's formulas written a second time, for the tests of steady states.
+
+Nothing here comes from the core. Forces are in units of k, so that of e_O, C_D
+and AR only s = Gamma_min^2 / (2 pi k) is left; `of` is the library of functions: math, or mpmath's
+mp for more digits.
+"""
+
+import math
+from itertools import combinations, pairwise
+
+import numpy as np
+
+A = math.pi / 4.0
+"""a_i / b_i: half-length of the bound vortex over the semi-span."""
+
+TIP = A - 1.0
+"""s_opt, in b."""
+
+K = 2.0 * 0.025 / 9.0
+"""k = 2 C_D / AR of the goose. Eq. (hatk)."""
+
+GAMMA = 4.0 * math.sqrt(0.8 * 0.025 / (math.pi * 9.0))
+"""Gamma_min of the goose. Eq. (Gammamin)."""
+
+STRENGTH = GAMMA**2 / (2.0 * math.pi * K)
+"""s: the paper's Gamma_min^2 / (2 pi k)."""
+
+H_0 = 0.5 * ((18.5 / 18.0) ** 2 + (18.5 / 18.0) ** -2)
+"""(U_0^2 + U_0^-2) / 2 of the goose."""
+
+MASS = 3.8 / (1.225 * 0.75**3)
+"""m_0 of the goose."""
+
+
+def integral(x, y, a, b, of=math):
+    """I = I_0 + I_+ + I_-, closed form of Eqs. (I0), (Ipm); x source minus target.
+
+    The four edges in I_0 add up to 0: each is taken from its root, so that I_0 is not 0/0 at x = 0.
+    """
+    y = abs(y)
+    edges = ((y + a + b, 1), (y - a - b, 1), (y + a - b, -1), (y - a + b, -1))
+    bound = sum(sign * x / (of.sqrt(x * x + u * u) + u) for u, sign in edges)
+    trailing = sum(sign * (of.log(u) - of.asinh(x / u)) for u, sign in edges)
+    return bound + trailing
+
+
+def even(y, a, b, of=math):
+    """E: what side by side is left of I, the logarithms of its edges."""
+    return of.log((y + a + b) * (y - a - b) / ((y + a - b) * (y - a + b)))
+
+
+def across(ratios):
+    """y_i from the first bird: neighbours are b_i + b_j + s_opt apart."""
+    lateral = [0 * ratios[0]]
+    for one, other in pairwise(ratios):
+        lateral.append(lateral[-1] + one + other + TIP)
+    return lateral
+
+
+def pairs(birds, coupling):
+    """All (i, j), i < j, from 0, that feel each other."""
+    return [
+        (i, j) for i in range(birds) for j in range(i + 1, birds) if coupling == "all" or j == i + 1
+    ]
+
+
+def surplus(ratio, speed, h_0=H_0):
+    """(T_j - D_j) / k. Eq. (scaling)."""
+    return 2 * h_0 * ratio**4 - ratio**2 * speed**2 - ratio**4 / speed**2
+
+
+def drag(x, y, source, target, speeds, strength=STRENGTH, of=math):
+    """D_ij / k on a target of span ratio `target`, `speeds` those of source and target. Eq. (Djk2).
+
+    Gamma_i Gamma_j I / (4 pi k) with Gamma_j = lambda_j^2 Gamma_min / U_j.
+    """
+    gammas = (source * target) ** 2 / (speeds[0] * speeds[1])
+    return 0.5 * strength * gammas * integral(x, y, A * source, A * target, of)
+
+
+def saved(y, one, other, speed, strength=STRENGTH, of=math):
+    """C_ij / k = (D_ij + D_ji) / k at a common speed, the same at any streamwise distance."""
+    return strength * (one * other) ** 2 / speed**2 * even(y, A * one, A * other, of)
+
+
+def forces(positions, speeds, ratios, coupling="nearest", *, h_0=H_0, strength=STRENGTH, of=math):
+    """(T_j - D_j - sum_i D_ij) / k of every bird, from Eq. (eom3)."""
+    lateral = across(ratios)
+    force = [surplus(ratio, speed, h_0) for ratio, speed in zip(ratios, speeds)]
+    for i, j in pairs(len(ratios), coupling):
+        for source, target in ((i, j), (j, i)):
+            force[target] -= drag(
+                positions[source] - positions[target],
+                lateral[source] - lateral[target],
+                ratios[source],
+                ratios[target],
+                (speeds[source], speeds[target]),
+                strength,
+                of,
+            )
+    return force
+
+
+def positions_of(spacing):
+    """Positions from the first bird."""
+    return np.concatenate([[0.0], np.cumsum(spacing)])
+
+
+def pair_of(one, other, speed, of=math):
+    """C / k of two neighbours of the goose's kind at a common speed."""
+    return saved(one + other + TIP, one, other, speed, of=of)
+
+
+def steady_speed(ratios, coupling="nearest"):
+    """U*, where all forces add up to 0: a u^2 - 2 H_0 b u + b + c = 0 with u = U^2."""
+    side = across(ratios)
+    saving = sum(
+        saved(side[j] - side[i], ratios[i], ratios[j], 1.0) for i, j in pairs(len(ratios), coupling)
+    )
+    squares, fourths = (sum(ratio**power for ratio in ratios) for power in (2, 4))
+    half = H_0 * fourths
+    return math.sqrt((half + math.sqrt(half**2 - squares * (fourths + saving))) / squares)
+
+
+def shares_of_all_sets(ratios, speed, coupling="all"):
+    """The share of every proper set of birds (from 0) of what is saved between it and the others.
+
+    What they need, less what they save among themselves, over what pairs across save.
+    """
+    birds, side = len(ratios), across(ratios)
+    needed = [surplus(ratio, speed) for ratio in ratios]
+    pair = {
+        (i, j): saved(side[j] - side[i], ratios[i], ratios[j], speed)
+        for i, j in pairs(birds, coupling)
+    }
+    found = {}
+    for size in range(1, birds):
+        for behind in combinations(range(birds), size):
+            own = sum(c for (i, j), c in pair.items() if i in behind and j in behind)
+            between = sum(c for (i, j), c in pair.items() if (i in behind) != (j in behind))
+            found[behind] = (sum(needed[i] for i in behind) - own) / between
+    return found
+
+
+def random_ratios(seed, birds, members, spread):
+    """Span ratios 1 + spread times a normal number, shape (birds, members)."""
+    return 1.0 + spread * np.random.default_rng(seed).standard_normal((birds, members))
