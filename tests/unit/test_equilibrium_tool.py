@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`equilibrium` keeps its contract, and says in words what it found."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -75,6 +77,35 @@ def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) 
     found = json_of(tool, capsys, "--birds", "2", *small)
     assert (found["exists"], found["margin"], found["weakest_gap"]) == ([False], [None], [None])
     assert found["parts"] == [[]]
+
+
+@pytest.mark.parametrize("ratio", ["1.0747244880", "1.0747244878846", "0.956787155", "0.9567871"])
+def test_just_beyond_a_limit_somebody_parts(ratio: str, capsys: pytest.CaptureFixture[str]) -> None:
+    # The limits of bird 4 of 13 are 0.95678715503 and 1.07472448791.
+    found = json_of(tool, capsys, "--span-ratio", f"4={ratio}")
+    text = text_of(tool, capsys, "--span-ratio", f"4={ratio}")
+    if found["exists"] == [True]:
+        assert found["margin"][0] < 1e-9
+        return
+    assert "opens, between birds" in text
+    assert len(found["parts"][0]) >= 2
+    assert found["weakest_gap"][0] in range(1, 13)
+
+
+def test_a_bird_that_nothing_damps_is_neutral(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # At U_0 = U_min drag does not depend on speed to first order.
+    path = tmp_path / "bird.yaml"
+    path.write_text("/**:\n  ros__parameters:\n    birds: 1\n    cruise_speed: 18.0\n")
+    assert "neither decays nor grows" in text_of(tool, capsys, "--config", str(path))
+
+
+def test_numbers_beyond_all_measure_are_no_crash(
+    capsys: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder
+) -> None:
+    json_of(tool, capsys, "--birds", "3", "--span-ratio", "2=1e200,1e-5,50")
+    assert not recwarn.list
 
 
 def test_many_members_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,6 +88,20 @@ def test_a_flock_that_never_flies_is_told_plainly(capsys: pytest.CaptureFixture[
     assert not result["as_given"]
 
 
+def test_the_flock_as_given_is_judged_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    # Not by whether its own span ratio lies in the interval that was searched.
+    for method in ("exact", "integrate"):
+        flown = ("--method", method, "--t-max", "2e4") if method == "integrate" else ()
+        found = json_of(tool, capsys, "--birds", "3", "--bird", "1", "--between", "1.2,1.3", *flown)
+        assert found["as_given"]
+        assert found["limits"][0]["never"]
+    small = ("--birds", "3", "--span-ratio", "1=0.8", "--bird", "1", "--between", "0.95,1.05")
+    found = json_of(tool, capsys, *small)
+    assert not found["as_given"]
+    assert (found["limits"][0]["lower"], found["limits"][0]["upper"]) == (None, None)
+    assert not found["limits"][0]["never"]
+
+
 def test_both_wings_are_searched_where_they_differ(capsys: pytest.CaptureFixture[str]) -> None:
     result = json_of(tool, capsys, "--birds", "5", "--span-ratio", "2=1.01")
     assert [limit["bird"] for limit in result["limits"]] == [1, 2, 3, 4, 5]
@@ -118,6 +132,8 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "did you mean 'exact'" in error_of(tool, capsys, "--method", "exakt")
     assert "--bird 14: must be a whole number, 1..13" in error_of(tool, capsys, "--bird", "14")
     assert "for --method integrate" in error_of(tool, capsys, "--resolution", "1e-3")
+    assert "--bird : must be" in error_of(tool, capsys, "--bird", "1,,2")
+    assert "in --bird 1,,2" in error_of(tool, capsys, "--bird", "1,,2")
     assert "--resolution 0" in error_of(tool, capsys, "--method", "integrate", "--resolution", "0")
     nothing = tmp_path / "limits.txt"
     assert "must end in one of" in error_of(tool, capsys, "--birds", "3", "--output", str(nothing))
@@ -130,3 +146,9 @@ def test_a_scheduler_that_does_not_answer_is_one_line(capsys: pytest.CaptureFixt
     # Nobody listens on the port of `discard`; a connection is refused at once.
     line = error_of(tool, capsys, "--method", "integrate", "--scheduler", "tcp://127.0.0.1:9")
     assert "no Dask scheduler answers there" in line
+
+
+@pytest.mark.parametrize("address", ["nowhere", "", "foo://127.0.0.1:1", "tcp://127.0.0.1"])
+def test_what_is_no_address_is_one_line(address: str, capsys: pytest.CaptureFixture[str]) -> None:
+    line = error_of(tool, capsys, "--method", "integrate", "--scheduler", address)
+    assert "must be an address such as tcp://127.0.0.1:8786" in line

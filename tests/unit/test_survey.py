@@ -39,8 +39,8 @@ def test_the_json_says_what_was_drawn_and_what_became_of_it(
         assert 0.0 <= low < one["fraction"] + 1e-12
         assert one["fraction"] - 1e-12 < high <= 1.0
         assert len(one["broken_by_weakest"]) == (one["birds"] + 1) // 2
-        assert len(one["opens"]) == one["birds"] - 1
-        assert sum(one["opens"]) == 2500 - one["flying"]
+        assert len(one["weakest_gaps"]) == one["birds"] - 1
+        assert sum(one["weakest_gaps"]) == 2500 - one["flying"]
     small, large = result["results"][2:]
     assert small["fraction"] > large["fraction"]
     assert large["worst_position"] == 1
@@ -49,15 +49,30 @@ def test_the_json_says_what_was_drawn_and_what_became_of_it(
 def test_who_computes_changes_no_number() -> None:
     configuration = FlockConfiguration(birds=5)
     one, other = (
-        survey(configuration, Distribution(0.03), BLOCK + 100, (3, 5), crew(count))
-        for count in (1, 3)
+        survey(configuration, Distribution(0.03), BLOCK + 100, 7, crew(count)) for count in (1, 3)
     )
     assert one == other
-    assert survey(configuration, Distribution(0.03), BLOCK + 100, (4, 5), crew(1)) != one
+    assert survey(configuration, Distribution(0.03), BLOCK + 100, 8, crew(1)) != one
+
+
+def test_the_same_flocks_are_drawn_whatever_else_is_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    alone = json_of(tool, capsys, "--birds", "5", "--spread", "0.02", "--samples", "300")
+    among = json_of(tool, capsys, "--birds", "3,5", "--spread", "0.01,0.02", "--samples", "300")
+    assert alone["results"][0] == among["results"][3]
+
+
+def test_span_ratios_of_a_configuration_file_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flock.yaml"
+    path.write_text('/**:\n  ros__parameters:\n    birds: 5\n    span_ratios: ["4=1.05"]\n')
+    assert "leave it out" in error_of(tool, capsys, "--config", str(path))
 
 
 def test_flocks_that_are_all_alike_all_fly() -> None:
-    population = survey(FlockConfiguration(birds=7), Distribution(1e-6), 500, (0,), crew(1))
+    population = survey(FlockConfiguration(birds=7), Distribution(1e-6), 500, 0, crew(1))
     assert population.flying == Fraction(500, 500)
     assert population.worst_position is None
     # The closed form of the homogeneous flock's speed, to the order of the spread.
@@ -70,7 +85,7 @@ def test_flocks_that_are_all_alike_all_fly() -> None:
 def test_every_flock_of_two_alike_but_for_one_breaks_where_the_limit_says() -> None:
     # Two birds of span ratios drawn uniformly: brute force over a grid gives the same fraction.
     population = survey(
-        FlockConfiguration(birds=2), Distribution.uniform(0.5, 1.5), 20000, (1,), crew(1)
+        FlockConfiguration(birds=2), Distribution.uniform(0.5, 1.5), 20000, 1, crew(1)
     )
     axis = np.linspace(0.5, 1.5, 201)[:-1] + 0.0025
     ratio = np.stack([side.ravel() for side in np.meshgrid(axis, axis)])
@@ -118,7 +133,8 @@ def test_a_survey_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         (("--birds", "1"), "--birds 1: must be a whole number, 2 or more"),
         (("--birds", "3,"), "--birds"),
         (("--seed", "-1"), "--seed -1"),
-        (("--span-ratio", "1=1.1"), "leave it out"),
+        (("--span-ratio", "1=1.1"), "unrecognized arguments: --span-ratio"),
+        (("--spread", ""), "--spread : must be numbers above 0"),
         (("--spread", "0.1", "--uniform", "0.9,1.1"), "not allowed with"),
         (("--output", "survey.doc"), "must end in one of"),
     ],

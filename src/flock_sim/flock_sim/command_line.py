@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -67,7 +68,7 @@ def flock_configuration(options: argparse.Namespace) -> FlockConfiguration:
     """Return what `add_flock_options` read. Raises FlockError on a value that is refused."""
     parameters = configuration_file.read(options.config) if options.config else {}
     for key in ("birds", "span_ratios", "coupling", "dt", "t_max", "record_every"):
-        value = getattr(options, key)
+        value = getattr(options, key, None)
         if value is not None:
             parameters[key] = value
     try:
@@ -88,6 +89,24 @@ def whole_number(name: str, text: str, least: int, most: int | None = None) -> i
     if value < least or (most is not None and value > most):
         raise FlockError(f"{name} {text}: must be a whole number, {allowed}")
     return value
+
+
+def whole_numbers(name: str, text: str, least: int, most: int | None = None) -> list[int]:
+    """Return the whole numbers in `text`, between commas. Raises FlockError as `whole_number`."""
+    try:
+        return [whole_number(name, part.strip(), least, most) for part in text.split(",")]
+    except FlockError as error:
+        if "," not in text:
+            raise
+        raise FlockError(f"{error} (in {name} {text})") from None
+
+
+def numbers(text: str) -> list[float]:
+    """Return the numbers in `text`, between commas; [nan] for what is none."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return [math.nan]
 
 
 def positive_number(name: str, text: str) -> float:

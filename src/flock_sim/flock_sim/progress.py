@@ -45,11 +45,17 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
 
 @contextmanager
 def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], None]]:
-    """Give a function that takes how much is done of `total`; shows it, the rate and time left."""
+    """Give a function that takes how much more of `total` is done; shows it, rate and time left."""
     columns = (TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),)
     with _bar(what, total, columns) as update:
-        begun = time.monotonic()
-        yield lambda done: update(completed=done, rate=done / max(1e-9, time.monotonic() - begun))
+        begun, done = time.monotonic(), 0.0
+
+        def show(more: float) -> None:
+            nonlocal done
+            done += more
+            update(completed=done, rate=done / max(1e-9, time.monotonic() - begun))
+
+        yield show
 
 
 @contextmanager

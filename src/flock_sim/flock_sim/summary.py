@@ -81,7 +81,8 @@ def _alike(left: FloatArray, right: FloatArray, tolerance: float) -> bool:
 
 def row(name: str, values: FloatArray, digits: int, order: str = "(tail to leader)") -> list[str]:
     """Return values, in as many lines as they need; `order` says which is which."""
-    cells = [f"{value:8.{digits}f}" for value in values]
+    # Adding 0.0 to what is rounded keeps -0.0000 away.
+    cells = [f"{round(float(value), digits) + 0.0:8.{digits}f}" for value in values]
     rows = [cells[k : k + WIDTH] for k in range(0, len(cells), WIDTH)]
     lines = [f"  {'':<20} {' '.join(line)}" for line in rows]
     lines[0] = f"  {name:<20} {' '.join(rows[0])}   {order}"

@@ -22,21 +22,22 @@ AT_ONCE = 1_000_000
 ALIKE = 1e-9
 """Difference of speeds, in U_min, below which two gaps open as fast as each other."""
 
-Told = Callable[[int], None]
+OnProgress = Callable[[int], None]
 
 
 def opened_gaps(
     configuration: FlockConfiguration,
     span_ratio: FloatArray,
     halt: Event | None = None,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
 ) -> IntArray:
     """Fly an ensemble to t_max; return 0 for a flock that holds together, else the gap that opens.
 
     The paper's criterion: sigma_U < 1e-4 at t_max, from the V of the homogeneous flock at U_0. Of
     the others, the gap (from 1) whose birds differ most in speed; NO_GAP where speeds are no
-    numbers. `span_ratio` has shape (birds, members), the result (members,). `told` is called with
-    the member-steps just taken; once `halt` is set, the flight ends and the result means nothing.
+    numbers. `span_ratio` has shape (birds, members), the result (members,). `on_progress` is called
+    with the member-steps just taken; once `halt` is set, the flight ends and the result means
+    nothing.
     """
     steps, members = configuration.steps, span_ratio.shape[1]
     flight = Monolith(replace(configuration, record_every=steps, span_ratios=()), span_ratio)
@@ -44,8 +45,8 @@ def opened_gaps(
     while flight.step < steps and not (halt and halt.is_set()):
         count = min(most, steps - flight.step)
         flight.advance(count)
-        if told:
-            told(count * members)
+        if on_progress:
+            on_progress(count * members)
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.abs(np.diff(flight.speed, axis=0))
         holds = flight.speed.std(axis=0) < STABLE_BELOW
@@ -60,23 +61,23 @@ class Ensembles:
 
     configuration: FlockConfiguration
     workers: Workers
-    show: Told = lambda member_steps: None
-    """Is told all member-steps taken so far."""
+    on_progress: OnProgress = lambda member_steps: None
+    """Is called with the member-steps just taken."""
     member_steps: int = 0
 
     def opened_gaps(self, span_ratio: FloatArray) -> IntArray:
         """Do as the function of this name does, each worker on a part of the members."""
         halt, lock = Event(), Lock()
 
-        def told(member_steps: int) -> None:
+        def count_up(member_steps: int) -> None:
             with lock:
                 self.member_steps += member_steps
-                self.show(self.member_steps)
+                self.on_progress(member_steps)
 
         count = min(self.workers.count, span_ratio.shape[1])
         blocks = np.array_split(span_ratio, count, axis=1)
         # Neither crosses to another machine.
-        here = (halt, told) if self.workers.local else ()
+        here = (halt, count_up) if self.workers.local else ()
         futures = [
             self.workers.executor.submit(opened_gaps, self.configuration, block, *here)
             for block in blocks
@@ -89,5 +90,5 @@ class Ensembles:
                 future.cancel()
             raise
         if not self.workers.local:
-            told(span_ratio.shape[1] * self.configuration.steps)
+            count_up(span_ratio.shape[1] * self.configuration.steps)
         return gaps

@@ -27,12 +27,13 @@ from flock_sim.core.stability import ComplexArray, eigenvalues
 from flock_sim.summary import MOST_MEMBERS, row, wings
 
 MOST_WORK = 1e10
-"""Birds cubed times members up to which eigenvalues are computed: some minutes."""
+"""(2 birds)^3 times members up to which eigenvalues are computed: a minute or less."""
 
 DESCRIPTION = """\
 Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
 state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
+--dt, --t-max and --record-every have no say in it.
 Exit status: 0, whatever the answer is; 2 bad input."""
 
 EXAMPLES = """\
@@ -62,10 +63,7 @@ class Assessment:
         """Return what can be said of the flock of a configuration."""
         flock = Flock.of(configuration)
         state = equilibrium(flock)
-        everybody = list(range(1, configuration.birds + 1))
-        groups = [
-            [everybody] if state.exists[m] else parts(flock, state, m) for m in range(flock.members)
-        ]
+        groups = [parts(flock, state, m) for m in range(flock.members)]
         weakest = [
             int(state.weakest_gap[m]) if state.exists[m] else opening_gap(state, groups[m], m)
             for m in range(flock.members)
@@ -121,11 +119,11 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json(assessment.as_json())
     else:
-        print(told(assessment))
+        print(described(assessment))
     return 0
 
 
-def told(assessment: Assessment) -> str:
+def described(assessment: Assessment) -> str:
     """Return the result as people read it."""
     configuration = assessment.configuration
     birds, members = configuration.birds, configuration.members
@@ -138,7 +136,7 @@ def told(assessment: Assessment) -> str:
         lines += ["", f"... and {members - MOST_MEMBERS} members more"]
     if members > 1:
         count = int(assessment.state.exists.sum())
-        lines += ["", f"{count} of {members} members can fly in formation"]
+        lines += ["", f"{count} of {members} members can fly{' in formation' * (birds > 1)}"]
     return "\n".join(lines)
 
 
@@ -181,6 +179,8 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
         ]
     if np.isnan(leading):
         return lines
+    if leading.real == 0.0:
+        return [*lines, "  leading eigenvalue   0: a disturbance neither decays nor grows"]
     what = "decays" if leading.real < 0.0 else "grows"
     swing = f", swings once in {2.0 * np.pi / abs(leading.imag):.4g}" if leading.imag else ""
     return [
@@ -194,7 +194,10 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
 def _none(assessment: Assessment, m: int) -> list[str]:
     state, groups, gap = assessment.state, assessment.parts[m], assessment.weakest_gap[m]
     if not gap:
-        return ["  verdict              no formation: at no speed is the thrust of all their drag"]
+        what = "no formation: at no speed is the thrust of all their drag"
+        if assessment.configuration.birds == 1:
+            what = "can't fly: at no speed is its thrust its drag"
+        return [f"  verdict              {what}"]
     lines = [
         "  verdict              no formation: "
         f"gap {gap} opens, between {birds_told([gap, gap + 1])}",

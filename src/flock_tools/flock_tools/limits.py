@@ -7,7 +7,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,21 @@ from flock_sim.command_line import (
     Parser,
     add_flock_options,
     flock_configuration,
+    numbers,
     print_json,
     run_tool,
-    whole_number,
+    whole_numbers,
 )
 from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.equilibrium import equilibrium
+from flock_sim.core.flock import Flock
 from flock_sim.core.limits import End, Limits, exact_limits, modified_birds, search
 from flock_sim.core.metrics import STABLE_BELOW
 from flock_sim.errors import FlockError
 from flock_sim.progress import counter
 from flock_sim.warm import warm, warm_steady_states
 from flock_tools.ensemble import Ensembles
+from flock_tools.picture_file import check_picture, write_picture
 from flock_tools.workers import workers
 
 METHODS = ("exact", "integrate")
@@ -47,7 +51,9 @@ in formation, and the gap that opens at each end.
 exact: by the existence of the steady state.
 integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
 the homogeneous flock; bisection to --resolution.
-Birds are those of the left wing where the flock is its own mirror image."""
+Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
+integrate.
+Exit status: 0, whatever the answer is; 2 bad input."""
 
 EXAMPLES = """\
   ./flock limits --birds 13 --output limits.png
@@ -90,7 +96,7 @@ def tool(arguments: Sequence[str]) -> int:
     configuration = _flock(options)
     birds = _birds(options, configuration)
     low, high = _between(options)
-    draw = _drawing(options)
+    check_picture(options.output)
     if options.method == "exact":
         for name in ("resolution", "scheduler"):
             if getattr(options, name) is not None:
@@ -99,25 +105,28 @@ def tool(arguments: Sequence[str]) -> int:
         begun = time.perf_counter()
         found = exact_limits(configuration, birds, low, high)
         how: dict[str, Any] = {"seconds": time.perf_counter() - begun}
+        how["as_given"] = bool(equilibrium(Flock.of(configuration)).exists[0])
     elif options.method == "integrate":
         found, how = _integrate(options, configuration, birds, low, high)
     else:
         raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
-    draw(found, configuration, low, high)
     facts = {
         "birds": configuration.birds,
         "coupling": configuration.coupling,
         "method": options.method,
         "limits": [_as_json(limits) for limits in found],
         "between": [low, high],
-        "as_given": all(_holds(limits, configuration) for limits in found),
         **how,
     }
     if options.json:
         print_json(facts)
     else:
-        print(told(found, facts))
-        if options.output is not None:
+        print(described(found, facts))
+    if options.output is not None:
+        from flock_tools.figure_limits import draw_limits  # with half a second of matplotlib
+
+        write_picture(draw_limits(found, configuration, low, high), options.output)
+        if not options.json:
             print(f"drawn: {options.output}")
     return 0
 
@@ -130,21 +139,23 @@ def _integrate(
     high: float,
 ) -> tuple[list[Limits], dict[str, Any]]:
     """Return the limits by the paper's protocol, and how they were found."""
-    resolution = _resolution(options.resolution or RESOLUTION)
+    resolution = _resolution(RESOLUTION if options.resolution is None else options.resolution)
     warm()  # loading compiled code is no part of the rate
     with workers(options.scheduler) as crew:
         # Bisection wherever that keeps all workers busy, else more parts a round.
         sections = max(2, 1 + crew.count * LANES // (2 * len(birds)))
         rounds = math.ceil(math.log((high - low) / resolution) / math.log(sections))
-        trials = len(birds) * (3 + 2 * max(0, rounds) * (sections - 1))
+        trials = 1 + len(birds) * (3 + 2 * max(0, rounds) * (sections - 1))
         with counter("integrating", "member-steps", trials * configuration.steps) as show:
             fleet = Ensembles(configuration, crew, show)
             begun = time.perf_counter()
             found = search(
                 configuration, birds, low, high, resolution, fleet.opened_gaps, sections=sections
             )
+            as_given = not fleet.opened_gaps(configuration.span_ratio)[0]
             seconds = time.perf_counter() - begun
     return found, {
+        "as_given": as_given,
         "resolution": resolution,
         "dt": configuration.dt,
         "t_max": configuration.t_max,
@@ -153,14 +164,6 @@ def _integrate(
         "member_steps": fleet.member_steps,
         "member_steps_per_second": fleet.member_steps / seconds,
     }
-
-
-def _holds(limits: Limits, configuration: FlockConfiguration) -> bool:
-    """Tell whether the bird's present span ratio keeps the formation."""
-    ratio = configuration.span_ratio[limits.bird - 1, 0]
-    low = limits.lower.ratio if limits.lower else -math.inf
-    high = limits.upper.ratio if limits.upper else math.inf
-    return not limits.never and low <= ratio <= high
 
 
 def _as_json(limits: Limits) -> dict[str, Any]:
@@ -172,7 +175,7 @@ def _as_json(limits: Limits) -> dict[str, Any]:
     return {**facts, "never": limits.never}
 
 
-def told(found: Sequence[Limits], facts: dict[str, Any]) -> str:
+def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     """Return the limits as people read them."""
     low, high = facts["between"]
     lines = [
@@ -217,18 +220,6 @@ def _opens(end: End) -> str:
     return f"gap {end.gap}" if end.gap else "none"
 
 
-def _drawing(options: argparse.Namespace) -> Callable[..., None]:
-    """Return what draws the diagram; refuse a name that no picture can have before we compute."""
-    if options.output is None:
-        return lambda *diagram: None
-    # Not above: half a second, for which only pictures wait.
-    from flock_tools.figure_limits import draw_limits
-    from flock_tools.picture_file import picture_format, write_picture
-
-    picture_format(options.output)
-    return lambda *diagram: write_picture(draw_limits(*diagram), options.output)
-
-
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
     if configuration.birds < 2:
@@ -244,15 +235,12 @@ def _flock(options: argparse.Namespace) -> FlockConfiguration:
 def _birds(options: argparse.Namespace, configuration: FlockConfiguration) -> list[int]:
     if options.bird is None:
         return modified_birds(configuration)
-    named = (text.strip() for text in options.bird.split(","))
-    return [whole_number("--bird", bird, 1, configuration.birds) for bird in named]
+    return list(dict.fromkeys(whole_numbers("--bird", options.bird, 1, configuration.birds)))
 
 
 def _between(options: argparse.Namespace) -> tuple[float, float]:
-    try:
-        low, high = (float(text) for text in options.between.split(","))
-    except ValueError:
-        low, high = math.nan, math.nan
+    ends = numbers(options.between)
+    low, high = ends if len(ends) == 2 else (math.nan, math.nan)
     if not 0.0 < low < high < math.inf:
         raise FlockError(
             f"--between {options.between}: must be two span ratios LO,HI with 0 < LO < HI, such as "

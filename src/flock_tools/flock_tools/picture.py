@@ -14,7 +14,7 @@ from flock_sim.run import Run
 from flock_tools.dataset import read
 from flock_tools.drawing import draw
 from flock_tools.moment import add_moment_option, moment
-from flock_tools.picture_file import picture_format, write_picture
+from flock_tools.picture_file import check_picture, write_picture
 
 MOST_TIMES = 2000
 """Moments of the flight that its curves are drawn through."""
@@ -43,7 +43,7 @@ def tool(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     time = moment(options)
     output = _output(options)
-    picture_format(output)
+    check_picture(output)
     with Run(options.run) as run:
         if run.missing:
             note(f"note: {run.missing}; what is whole of it is drawn")

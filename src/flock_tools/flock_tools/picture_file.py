@@ -1,37 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file that a picture is written to."""
+"""The file that a picture is written to.
+
+Matplotlib takes half a second to import: only what draws waits for it.
+"""
 
 from __future__ import annotations
 
+import os
 from io import BytesIO
 from pathlib import Path
-
-from matplotlib.backend_bases import FigureCanvasBase
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from flock_sim.errors import FlockError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RESOLUTION = 200
 """Of a picture made of dots, in dots per inch."""
 
 
-def picture_format(output: Path) -> str:
-    """Return the format that a name ends in, png where it has no ending.
+def check_picture(output: Path | None) -> None:
+    """Refuse a file that no picture can be written to, before anything is computed.
 
-    Raises FlockError on one that can't be written: tools ask before they compute.
+    Raises FlockError; None is no picture, and fine.
     """
-    kind = output.suffix.lstrip(".").lower() or "png"
-    kinds = FigureCanvasBase.get_supported_filetypes()
-    if kind not in kinds:
-        raise FlockError(f"--output {output}: must end in one of {', '.join(sorted(kinds))}")
-    return kind
+    if output is None:
+        return
+    _format(output)
+    if output.is_dir():
+        raise FlockError(f"--output {output}: is a directory; name a file in it")
+    if not output.parent.is_dir():
+        raise FlockError(f"--output {output}: can't be written: {output.parent} is no directory")
+    if not os.access(output if output.exists() else output.parent, os.W_OK):
+        raise FlockError(f"--output {output}: can't be written: Permission denied")
 
 
 def write_picture(figure: Figure, output: Path) -> None:
     """Write `figure` in the format that the name ends in. Raises FlockError where it can't be."""
     picture = BytesIO()
-    figure.savefig(picture, dpi=RESOLUTION, format=picture_format(output))
+    figure.savefig(picture, dpi=RESOLUTION, format=_format(output))
     try:
         output.write_bytes(picture.getbuffer())
     except OSError as error:
         raise FlockError(f"--output {output}: can't be written: {error.strerror}") from error
+
+
+def _format(output: Path) -> str:
+    """Return the format that a name ends in, png where it has no ending."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    kind = output.suffix.lstrip(".").lower() or "png"
+    kinds = FigureCanvasBase.get_supported_filetypes()
+    if kind not in kinds:
+        raise FlockError(f"--output {output}: must end in one of {', '.join(sorted(kinds))}")
+    return kind

@@ -15,15 +15,23 @@ from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
 from flock_sim.core.formation import leader
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import plain
 from flock_tools.workers import Workers
 
 BLOCK = 2000
-"""Flocks that are drawn and solved together."""
+"""Flocks that are drawn and solved together, at most."""
+
+BLOCK_WORK = 10_000_000
+"""Pairs times birds of a block at most: some seconds of all-to-all coupling, to be stopped in."""
 
 CONFIDENCE = 0.95
 
 SMALLEST = 0.5
 """Span ratios are drawn anew until they are above this, so that no neighbours' vortices meet."""
+
+
+LARGEST = 10.0
+"""Span ratios above which nobody asks: a bird of ten times the span."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,12 @@ class Distribution:
     def uniform(cls, low: float, high: float) -> Distribution:
         """Return the uniform distribution between two span ratios."""
         return cls((high - low) / 12.0**0.5, (low, high))
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        """What random numbers of this distribution are seeded with."""
+        numbers = (self.spread,) if self.between is None else self.between
+        return tuple(int(word) for word in np.array(numbers).view(np.uint64))
 
     def draw(self, random: np.random.Generator, birds: int, members: int) -> FloatArray:
         """Return span ratios, shape (birds, members)."""
@@ -82,8 +96,8 @@ class Population:
     """Flocks that can fly in formation."""
     broken_by_weakest: list[Fraction]
     """Flocks that can't, of those whose smallest bird has wing position 1 (tail) ... n (leader)."""
-    opens: list[int]
-    """Of the flocks that can't, in how many gap 1, 2, ... is the one that opens."""
+    weakest_gaps: list[int]
+    """Of the flocks that can't, in how many gap 1, 2, ... has the least margin."""
     speed: float
     """Mean U* of those that can, in U_min."""
     drag_reduction: float
@@ -100,7 +114,7 @@ class Population:
     def as_json(self) -> dict[str, Any]:
         """Return plain numbers."""
         lower, upper = self.flying.interval
-        return {
+        facts = {
             "birds": self.birds,
             "spread": self.distribution.spread,
             "uniform": self.distribution.between,
@@ -112,39 +126,45 @@ class Population:
             "broken_by_weakest_interval": [broken.interval for broken in self.broken_by_weakest],
             "weakest_at": [fraction.of for fraction in self.broken_by_weakest],
             "worst_position": self.worst_position,
-            "opens": self.opens,
+            "weakest_gaps": self.weakest_gaps,
             "mean_speed": self.speed,
             "mean_drag_reduction": self.drag_reduction,
         }
+        return {name: plain(value) for name, value in facts.items()}
 
 
 def survey(
     configuration: FlockConfiguration,
     distribution: Distribution,
     samples: int,
-    seed: tuple[int, ...],
+    seed: int,
     workers: Workers,
-    told: Callable[[int], None] = lambda flocks: None,
+    on_progress: Callable[[int], None] = lambda flocks: None,
 ) -> Population:
     """Return what becomes of `samples` flocks of a configuration's size and coupling.
 
-    The flocks depend on `seed` and `distribution` only, not on who computes. `told` is called with
-    the number of flocks just solved. Raises RunFailed as `equilibrium` does.
+    The flocks depend on `seed`, the distribution, the number of birds and the coupling only, not on
+    who computes. `on_progress` is called with the number of flocks just solved. Raises RunFailed as
+    `equilibrium` does.
     """
-    blocks = [min(BLOCK, samples - first) for first in range(0, samples, BLOCK)]
+    birds = configuration.birds
+    pairs = birds * (birds - 1) // 2 if configuration.coupling == "all" else birds - 1
+    block = min(BLOCK, max(1, BLOCK_WORK // (pairs * birds)))
+    blocks = [min(block, samples - first) for first in range(0, samples, block)]
+    start = (seed, birds, *distribution.key)
     futures = [
-        workers.executor.submit(_judged, configuration, distribution, (*seed, number), members)
+        workers.executor.submit(_judged, configuration, distribution, (*start, number), members)
         for number, members in enumerate(blocks)
     ]
     tallies = []
     try:
         for future, members in zip(futures, blocks):
             tallies.append(future.result())
-            told(members)
+            on_progress(members)
     finally:
         for future in futures:
             future.cancel()
-    return _Tally.total(tallies).population(configuration.birds, distribution)
+    return _Tally.total(tallies).population(birds, distribution)
 
 
 @dataclass(frozen=True)
@@ -154,7 +174,7 @@ class _Tally:
     flying: int
     weakest: np.ndarray
     broken: np.ndarray
-    opens: np.ndarray
+    weakest_gaps: np.ndarray
     speed: float
     drag_reduction: float
 
@@ -169,7 +189,7 @@ class _Tally:
             distribution,
             flying,
             [Fraction(int(k), int(n)) for k, n in zip(self.broken, self.weakest)],
-            [int(k) for k in self.opens],
+            [int(k) for k in self.weakest_gaps],
             self.speed / self.flying if self.flying else np.nan,
             self.drag_reduction / self.flying if self.flying else np.nan,
         )

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from flock_sim.core import formation
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
@@ -30,8 +28,7 @@ class Steady:
 def steady(flock: Flock) -> Steady:
     """Return the steady states of all members of `flock`."""
     state = equilibrium(flock)
-    along = np.zeros_like(flock.span_ratio)
-    along[1:] = np.cumsum(state.spacing, axis=0)
+    along = formation.positions(state.spacing)
     along -= along[formation.leader(flock.birds) - 1]
     return Steady(
         along=along,

@@ -7,25 +7,26 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from flock_sim.command_line import (
     Parser,
-    add_flock_options,
     flock_configuration,
+    numbers,
     print_json,
     run_tool,
     whole_number,
+    whole_numbers,
 )
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.metrics import plain
+from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.progress import counter
 from flock_sim.warm import warm_steady_states
-from flock_tools.population import SMALLEST, Distribution, Population, survey
+from flock_tools.picture_file import check_picture, write_picture
+from flock_tools.population import LARGEST, SMALLEST, Distribution, Population, survey
 from flock_tools.workers import workers
 
 SIZES = "3,7,13,31"
@@ -46,13 +47,59 @@ EXAMPLES = """\
 
 def tool(arguments: Sequence[str]) -> int:
     """Draw flocks, solve for their steady states, and say how many have one."""
+    options = _parser().parse_args(arguments)
+    flocks = _flocks(options)
+    distributions = _distributions(options)
+    samples = whole_number("--samples", options.samples, 1)
+    seed = whole_number("--seed", options.seed, 0)
+    check_picture(options.output)
+
+    warm_steady_states()
+    kinds = [(flock, distribution) for flock in flocks for distribution in distributions]
+    begun = time.perf_counter()
+    with (
+        workers(options.scheduler) as crew,
+        counter("solving", "flocks", len(kinds) * samples) as show,
+    ):
+        populations = [
+            survey(flock, distribution, samples, seed, crew, show) for flock, distribution in kinds
+        ]
+        seconds = time.perf_counter() - begun
+    flocks_solved = len(kinds) * samples
+    how = {
+        "coupling": flocks[0].coupling,
+        "seed": seed,
+        "flocks": flocks_solved,
+        "seconds": seconds,
+        "flocks_per_second": flocks_solved / seconds,
+        "workers": crew.count,
+    }
+    if options.json:
+        print_json({**how, "results": [population.as_json() for population in populations]})
+    else:
+        print(described(populations, how))
+    if options.output is not None:
+        from flock_tools.figure_survey import draw_survey  # with half a second of matplotlib
+
+        write_picture(draw_survey(populations), options.output)
+        if not options.json:
+            print(f"drawn: {options.output}")
+    return 0
+
+
+def _parser() -> Parser:
     parser = Parser("survey", DESCRIPTION, EXAMPLES)
-    add_flock_options(parser)
-    drawn = parser.add_argument_group("survey", "--birds may be several here: N[,N...]")
+    drawn = parser.add_argument_group("survey")
+    drawn.add_argument("--config", metavar="FILE", type=Path, help="ROS 2 parameter file")
+    drawn.add_argument("--birds", metavar="N[,N...]", help=f"numbers of birds ({SIZES})")
+    drawn.add_argument(
+        "--coupling", metavar="|".join(COUPLINGS), help="whom a bird feels (nearest)"
+    )
     which = drawn.add_mutually_exclusive_group()
     which.add_argument(
         "--spread",
         metavar="S[,S...]",
+        default=SPREADS,
         help=f"standard deviations of span ratios, normal about 1 ({SPREADS})",
     )
     which.add_argument("--uniform", metavar="LO,HI", help="draw them uniformly from an interval")
@@ -68,54 +115,10 @@ def tool(arguments: Sequence[str]) -> int:
     result = parser.add_argument_group("result")
     result.add_argument("--output", metavar="FILE", type=Path, help="draw it: png, svg, pdf")
     result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
-    options = parser.parse_args(arguments)
-    flocks = _flocks(options)
-    distributions = _distributions(options)
-    samples = whole_number("--samples", options.samples, 1)
-    seed = whole_number("--seed", options.seed, 0)
-    draw = _drawing(options)
-
-    warm_steady_states()
-    populations = []
-    begun = time.perf_counter()
-    solved = 0
-    total = len(flocks) * len(distributions) * samples
-    with workers(options.scheduler) as crew, counter("solving", "flocks", total) as show:
-        for flock in flocks:
-            for number, distribution in enumerate(distributions):
-
-                def told(count: int) -> None:
-                    nonlocal solved
-                    solved += count
-                    show(solved)
-
-                populations.append(
-                    survey(flock, distribution, samples, (seed, flock.birds, number), crew, told)
-                )
-        seconds = time.perf_counter() - begun
-        how = {
-            "coupling": flocks[0].coupling,
-            "seed": seed,
-            "flocks": solved,
-            "seconds": seconds,
-            "flocks_per_second": solved / seconds,
-            "workers": crew.count,
-        }
-    draw(populations)
-    if options.json:
-        facts = [
-            {name: plain(value) for name, value in population.as_json().items()}
-            for population in populations
-        ]
-        print_json({**how, "results": facts})
-    else:
-        print(told_of(populations, how))
-        if options.output is not None:
-            print(f"drawn: {options.output}")
-    return 0
+    return parser
 
 
-def told_of(populations: Sequence[Population], how: dict[str, Any]) -> str:
+def described(populations: Sequence[Population], how: dict[str, Any]) -> str:
     """Return the result as people read it."""
     between = populations[0].distribution.between
     kind = f"uniform from {between[0]:g} to {between[1]:g}" if between else "normal about 1"
@@ -151,54 +154,33 @@ def _worst(population: Population) -> str:
     return f"{place} ({100.0 * broken.value:.1f} %)"
 
 
-def _drawing(options: argparse.Namespace) -> Callable[[Sequence[Population]], None]:
-    """Return what draws the survey; refuse a name that no picture can have before we compute."""
-    if options.output is None:
-        return lambda populations: None
-    # Not above: half a second, for which only pictures wait.
-    from flock_tools.figure_survey import draw_survey
-    from flock_tools.picture_file import picture_format, write_picture
-
-    picture_format(options.output)
-    return lambda populations: write_picture(draw_survey(populations), options.output)
-
-
 def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
     """Return the standard flocks of all sizes that were asked for."""
-    given = options.birds
-    options.birds = None
+    sizes, options.birds = options.birds, None
     flock = flock_configuration(options)
     if flock.span_ratios:
-        raise FlockError("--span-ratio: all span ratios are drawn here; leave it out")
-    if given is None:
-        given = SIZES if options.config is None else str(flock.birds)
-    sizes = [whole_number("--birds", text.strip(), 2) for text in given.split(",")]
-    return [replace(flock, birds=birds) for birds in sizes]
+        raise FlockError(
+            f"span_ratios in configuration file {options.config}: all are drawn here; leave it out"
+        )
+    if sizes is None:
+        sizes = SIZES if options.config is None else str(flock.birds)
+    return [replace(flock, birds=birds) for birds in whole_numbers("--birds", sizes, 2)]
 
 
 def _distributions(options: argparse.Namespace) -> list[Distribution]:
     if options.uniform is not None:
-        low, high = _numbers(options.uniform, 2)
-        if not SMALLEST <= low < high < math.inf:
+        ends = numbers(options.uniform)
+        low, high = ends if len(ends) == 2 else (math.nan, math.nan)
+        if not SMALLEST <= low < high <= LARGEST:
             raise FlockError(
                 f"--uniform {options.uniform}: must be two span ratios LO,HI with "
-                f"{SMALLEST:g} <= LO < HI, such as 0.9,1.1"
+                f"{SMALLEST:g} <= LO < HI <= {LARGEST:g}, such as 0.9,1.1"
             )
         return [Distribution.uniform(low, high)]
-    spreads = _numbers(options.spread or SPREADS)
-    for spread in spreads:
-        if not 0.0 < spread <= 1.0:
-            raise FlockError(f"--spread {options.spread}: must be numbers above 0, 1 at most")
+    spreads = numbers(options.spread)
+    if not all(0.0 < spread <= 1.0 for spread in spreads):
+        raise FlockError(f"--spread {options.spread}: must be numbers above 0, 1 at most")
     return [Distribution(spread) for spread in spreads]
-
-
-def _numbers(text: str, count: int | None = None) -> list[float]:
-    """Return the numbers in `text`; nan for what is none, or where there are not `count`."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = [math.nan]
-    return numbers if count in (None, len(numbers)) else [math.nan] * (count or 1)
 
 
 def main() -> int:

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from flock_sim.errors import FlockError
+
+ADDRESS = re.compile(r"(tcp|tls|wss?)://(\[[0-9a-fA-F:]+\]|[^\s/:\[\]]+):[0-9]{1,5}")
 
 PATIENCE = 10.0
 """How long the scheduler of a cluster, and then its first worker, are waited for, in s."""
@@ -40,11 +43,16 @@ def workers(scheduler: str | None) -> Iterator[Workers]:
         finally:
             executor.shutdown(wait=False, cancel_futures=True)
         return
+    if not ADDRESS.fullmatch(scheduler):
+        raise FlockError(
+            f"--scheduler {scheduler}: must be an address such as tcp://127.0.0.1:8786, with "
+            "tcp, tls, ws or wss, a host and a port"
+        )
     from distributed import Client  # takes half a second to import
 
     try:
         client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError) as error:
         raise FlockError(
             f"--scheduler {scheduler}: no Dask scheduler answers there within {PATIENCE:g} s "
             f"({type(error).__name__}); give its address, such as tcp://127.0.0.1:8786"

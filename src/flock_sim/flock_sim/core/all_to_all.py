@@ -82,7 +82,9 @@ def fill_shares(
         behind[:] = False
         for i in range(birds - 1):
             behind[i] = True
-            share[i, m] = share_of(behind, needed[:, m], pairs, 2.0 * strength[:, m] * even[:, m])
+            share[i, m] = share_of(
+                behind, needed[:, m].copy(), pairs, 2.0 * strength[:, m] * even[:, m]
+            )
 
 
 @kernel

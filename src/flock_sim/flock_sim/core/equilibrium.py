@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.core import all_to_all, chain
+from flock_sim.core import all_to_all, chain, formation
 from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.steady_speed import balances
@@ -71,6 +71,11 @@ def equilibrium(flock: Flock) -> Equilibrium:
 
     Raises RunFailed where Newton's method neither finds a state nor proves that there is none.
     """
+    with np.errstate(over="ignore", invalid="ignore"):  # a member beyond all numbers is nan
+        return _equilibrium(flock)
+
+
+def _equilibrium(flock: Flock) -> Equilibrium:
     if flock.coupling == "nearest" or flock.birds == 1:
         square, share = chain_shares(flock)
         margin = _least_distance(share)
@@ -125,20 +130,20 @@ def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, Float
         share,
     )
     margin = _least_distance(share)
-    spacing = np.full_like(share, np.nan)
-    start = np.empty_like(share)
+    spacing = np.empty_like(share)
     near = np.clip(chain_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
-    chain.fill_spacings(flock.span_ratio, near, start)
+    chain.fill_spacings(flock.span_ratio, near, spacing)
+    start = formation.positions(np.nan_to_num(spacing))
     for m in np.flatnonzero(margin > 0.0):
-        position = np.concatenate([[0.0], np.cumsum(np.nan_to_num(start[:, m]))])
+        position = start[:, m].copy()
         end, largest = all_to_all.settle(
             position,
-            needed[:, m],
-            flock.half_span[:, m],
+            needed[:, m].copy(),
+            flock.half_span[:, m].copy(),
             flock.pairs,
-            flock.lateral[:, m],
-            flock.even[:, m],
-            strength[:, m],
+            flock.lateral[:, m].copy(),
+            flock.even[:, m].copy(),
+            strength[:, m].copy(),
         )
         if end == all_to_all.NOT_CONVERGED:
             raise RunFailed(

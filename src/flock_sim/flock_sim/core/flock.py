@@ -7,7 +7,7 @@ its own part from what its neighbours tell it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,7 +36,13 @@ class Flock:
     def of(cls, configuration: FlockConfiguration, span_ratio: FloatArray | None = None) -> Flock:
         """Return the flock of a configuration, or one of the same kind with other span ratios."""
         ratio = configuration.span_ratio if span_ratio is None else span_ratio
+        # Kernels are compiled for one layout of arrays.
+        ratio = np.ascontiguousarray(ratio)
         return cls(configuration.coupling, Scales.of(configuration), ratio)
+
+    def select(self, members: npt.NDArray[np.int64]) -> Flock:
+        """Return the flocks with the indices `members`."""
+        return replace(self, span_ratio=np.ascontiguousarray(self.span_ratio[:, members]))
 
     @property
     def birds(self) -> int:

@@ -66,6 +66,13 @@ def lateral_positions(span_ratio: FloatArray) -> FloatArray:
     return lateral
 
 
+def positions(spacing: FloatArray) -> FloatArray:
+    """Return x_i from bird 1, shape (birds, members), of `spacing` (birds - 1, members), in b."""
+    position = np.zeros((spacing.shape[0] + 1, spacing.shape[1]))
+    np.cumsum(spacing, axis=0, out=position[1:])
+    return position
+
+
 def start_position(bird: int, birds: int) -> float:
     """Return x_i(0) of the V start, in b: -|i - n| dy_0 / tan(theta), the leader at 0.
 

@@ -135,18 +135,20 @@ def search(
 ) -> list[Limits]:
     """Return the limits of each of `birds` in [low, high], to `resolution`, by bisection.
 
-    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio if
-    it is among them.
-    Then all ends that were found are narrowed down at once, each into `sections` a round. Beside
-    small neighbours the interval begins where their vortices are still apart.
+    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio
+    where it lies within. Then all ends that were found are narrowed down at once, each into
+    `sections` a round. Beside small neighbours the interval begins where their vortices are still
+    apart.
     """
     own = configuration.span_ratio[:, 0]
     tried = []
     for bird in birds:
         beside = own[[k for k in (bird - 2, bird) if 0 <= k < len(own)]]
         first = max(low, LEAST_SUM - beside.min(initial=np.inf))
-        ratios = np.append(np.linspace(first, high, grid + 1), own[bird - 1])
-        tried.append(np.unique(np.clip(ratios, first, high)))
+        present = own[bird - 1 : bird]
+        within = present[(first <= present) & (present <= high)]
+        marks = np.linspace(first, high, grid + 1) if first < high else np.empty(0)
+        tried.append(np.unique(np.append(marks, within)))
     counts = [len(ratios) for ratios in tried]
     gaps = trial(_modified(configuration, np.repeat(birds, counts), np.concatenate(tried)))
 

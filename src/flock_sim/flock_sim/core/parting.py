@@ -17,8 +17,11 @@ from flock_sim.core.steady_speed import balances
 
 IntArray = npt.NDArray[np.int64]
 
-TOGETHER = 1e-8
-"""Difference of speeds, in U_min, below which two birds fly on together."""
+TOGETHER = 1e-11
+"""Difference of speeds, in U_min, that is rounding: birds fly on together."""
+
+SETTLED = 1e-10
+"""Change of speeds, in U_min, with which the search for them ends."""
 
 ROUNDS = 20
 """How often circulations and slopes are taken again at the speeds that were found."""
@@ -31,18 +34,22 @@ LEAST_SLOPE = 1e-3
 
 
 def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]]:
-    """Return the birds (from 1) that fly on together, the fastest part first; one part if all do.
+    """Return the birds (from 1) that fly on together where no formation exists, the fastest first.
 
-    `equilibrium` is that of `flock`, `member` an index. Empty where no speed balances the forces.
+    `equilibrium` is that of `flock`, `member` an index. One part where a formation exists, none
+    where no speed balances the forces.
 
     Each pair shares C_ij = D_ij + D_ji between its birds as it likes, the one behind gaining up to
     all of it. The birds use that to stay together; the force F_j that is left gives bird j the
     speed U* + F_j / Q_j, Q_j the mean slope of its drag in between. A pair that flies at one speed
     shares within (0, 1); one that parts has given all it has to the slower. These are the
     conditions of the least of sum_j F_j^2 / Q_j over all shares in [0, 1], found again and again
-    with the C_ij and Q_j at the speeds that it gives. Speeds further than MOST from U* are cut off:
-    birds that slow have no steady speed of their own.
+    with the C_ij and Q_j at the speeds that it gives. Speeds further than MOST from U* are cut off
+    there: birds that slow have no steady speed of their own.
     """
+    birds = range(1, flock.birds + 1)
+    if equilibrium.exists[member]:
+        return [list(birds)]
     ratio = flock.span_ratio[:, member]
     common = float(equilibrium.balanced_speed[member])
     if not np.isfinite(common):
@@ -56,13 +63,18 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
         speed = common + over
         saved = constant / (speed[tail] * speed[head])
         slope = np.maximum(_slope(ratio, common, speed), LEAST_SLOPE)
-        before, over = (
-            over,
-            np.clip(least(flock.pairs, needed, saved, slope), -MOST * common, MOST * common),
-        )
-        if np.abs(over - before).max() < 0.01 * TOGETHER:
+        found = least(flock.pairs, needed, saved, slope)
+        before, over = over, np.clip(found, -MOST * common, MOST * common)
+        if np.abs(over - before).max() < SETTLED:
             break
-    return _together(over, flock.coupling == "nearest")
+    groups = _together(found, flock.coupling == "nearest")
+    if len(groups) == 1:
+        # So close to a limit that nobody is faster by more than rounding.
+        gap = int(equilibrium.weakest_gap[member])
+        groups = [list(birds[gap:]), list(birds[:gap])]
+        if equilibrium.share[gap - 1, member] < 0.5:
+            groups.reverse()
+    return groups
 
 
 def _least_squares(
@@ -155,7 +167,7 @@ def _together(over: FloatArray, in_line: bool) -> list[list[int]]:
 def opening_gap(equilibrium: Equilibrium, groups: list[list[int]], member: int) -> int:
     """Return the gap (from 1) that opens: of those between parts, the one of least margin.
 
-    `groups` are the parts of the flock with index `member`; 0 where they are one or none.
+    `groups` are the `parts` of the flock with index `member`; 0 where they are one or none.
     """
     share = equilibrium.share[:, member]
     part = {bird: number for number, group in enumerate(groups) for bird in group}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from flock_sim.core import formation
 from flock_sim.core.aerodynamics import PER_FOUR_PI, ahead_integral_and_slope
 from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray, kernel
@@ -49,9 +50,8 @@ def eigenvalues(flock: Flock, spacing: FloatArray, speed: FloatArray) -> Complex
     known = np.flatnonzero(np.isfinite(speed))
     for first in range(0, len(known), BLOCK):
         block = known[first : first + BLOCK]
-        part = Flock(flock.coupling, flock.scales, flock.span_ratio[:, block])
-        position = np.zeros((birds, len(block)))
-        position[1:] = np.cumsum(spacing[:, block], axis=0)
+        part = flock.select(block)
+        position = formation.positions(spacing[:, block])
         common = np.broadcast_to(speed[block], position.shape)
         found[block] = np.linalg.eigvals(_by_spacings(jacobian(part, position, common)))
     order = np.argsort(-found.real, axis=1, kind="stable")
