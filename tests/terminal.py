@@ -31,6 +31,7 @@ TOOLS = {
     "compare": "flock_tools.compare",
     "picture": "flock_tools.picture",
     "figures": "flock_tools.figures",
+    "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",
     "survey": "flock_tools.survey",

@@ -4,7 +4,7 @@ from setuptools import find_packages, setup
 setup(
     name="flock_tools",
     version="0.1.0",
-    description="Offline tools for recorded flights: metrics, comparison, pictures.",
+    description="Offline tools: recorded flights, steady states, stability limits, figures.",
     maintainer="The Flock authors",
     maintainer_email="flock@example.org",
     license="Apache-2.0",
@@ -18,6 +18,7 @@ setup(
             "metrics=flock_tools.metrics:main",
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
+            "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",
             "limits=flock_tools.limits:main",
