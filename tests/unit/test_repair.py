@@ -80,6 +80,18 @@ def test_whole_messages_are_kept_wherever_a_bag_is_torn(
     assert len(kept) > 10
 
 
+def test_a_single_file_is_repaired_beside_its_bag(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (file,) = flight.glob("*.mcap")
+    run = torn(flight, tmp_path / "torn", file.stat().st_size - 1)
+    (copy,) = run.glob("*.mcap")
+    text = text_of(tool, capsys, str(copy))
+    assert text.splitlines()[-1] == (
+        f"{len(messages(flight))} messages are whole, and in {tmp_path / 'torn-repaired'}"
+    )
+
+
 def test_what_is_complete_is_left_alone(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert text_of(tool, capsys, str(flight)) == f"{flight} is complete: nothing to repair\n"
     assert not flight.with_name("run-repaired").exists()
