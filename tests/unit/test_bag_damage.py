@@ -3,15 +3,22 @@
 
 import os
 import random
+import struct
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
 
 from flock_sim.bag.reader import BagReader
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from unit.flights import record
 
 TOPICS = [Topic(f"/flock/bird_{i:02d}/state", "std_msgs/msg/Header") for i in range(1, 4)]
 Row = tuple[str, int, bytes]
@@ -77,6 +84,55 @@ def test_a_file_cut_off_at_random_gives_every_whole_chunk_or_is_refused(tmp_path
         os.truncate(path, size)
         with pytest.raises(FlockError, match="empty file" if size == 0 else "not an MCAP file"):
             BagReader(path)
+
+
+def test_two_thousand_truncations_of_a_flight_never_give_what_was_not_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BagWriter.__init__.__kwdefaults__, "chunk_size", 4096)
+    configuration = FlockConfiguration(birds=3, t_max=150.0, record_every=1)
+    flight = record(tmp_path / "flight", configuration, grants=True)
+    (path,) = flight.glob("*.mcap")
+    (flight / "metadata.yaml").unlink()
+    recorded, _ = read(flight)
+    with path.open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]
+    counts = [sum(1 for _ in read_to(path, end)) for end in ends]
+    assert len(ends) > 10
+    assert counts[-1] == len(recorded)
+
+    chance = random.Random(8)
+    last = range(chunks[-1].chunk_start_offset, ends[-1] + 1)
+    sizes = set(last)
+    while len(sizes) < 2000:
+        sizes.add(chance.randrange(ends[-1] + 2000))
+    begin = chunks[0].chunk_start_offset
+    data = path.read_bytes()
+    for size in sorted(sizes):
+        path.write_bytes(data[:size])
+        whole = sum(end <= size for end in ends)
+        try:
+            with Run(flight) as run:
+                assert run.missing is not None
+                assert "\n" not in run.missing
+                found = list(run.bag.messages())
+        except FlockError:
+            assert size < begin  # the configuration itself is torn
+            continue
+        assert found == recorded[: counts[whole - 1] if whole else 0]
+
+
+def read_to(path: Path, size: int) -> list[Row]:
+    """Return what the first `size` bytes of a file hold, by another project's reader."""
+    with path.open("rb") as file:
+        data = BytesIO(file.read(size))
+    reader = NonSeekingReader(data)
+    found = []
+    with suppress(McapError, struct.error):
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            found.append((channel.topic, message.log_time, message.data))
+    return found
 
 
 def test_a_torn_bag_still_has_its_configuration(tmp_path: Path) -> None:
