@@ -15,6 +15,7 @@ from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.errors import FlockError
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
+from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.process import Process, Stop, executing, run_node
 
 
@@ -121,16 +122,20 @@ def work(process: Process) -> None:
                 f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
             )
     with executing(operation["executor"], process.context) as executor:
+        alone = len(indices) == 1
         birds = [
             BirdNode(
                 index,
                 configuration,
                 operation["run_id"],
                 context=process.context,
-                services=len(indices) == 1,
+                services=alone,
             )
             for index in indices
         ]
+        if alone:
+            operation = {**operation, "index": indices[0]}
+            declare(birds[0], configuration, operation, ("index", *OF_ALL))
         for bird in birds:
             executor.add_node(bird)
         keep_flying(birds, executor, process.stop, process.patience())

@@ -16,6 +16,7 @@ from flock_interfaces.msg import Grant, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
 from flock_sim.nodes.endpoints import latched, wait_until_heard
+from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, run_node
 from flock_sim.stop import Stop
@@ -103,6 +104,8 @@ def work(process: Process) -> None:
     with executing(operation["executor"], process.context) as executor:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
         clock = ClockNode(keeper, depth, context=process.context)
+        own = ("window", "record", "record_stages", *OF_ALL)
+        declare(clock, process.configuration, operation, own)
         executor.add_node(clock)
         keep_time(clock, executor, process.patience(), lambda: process.stop)
         clock.farewell(process.stop)

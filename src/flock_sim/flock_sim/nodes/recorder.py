@@ -20,6 +20,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
 from flock_sim.errors import FlockError
 from flock_sim.nodes.endpoints import DrainedNode, Inlet, latched, wait_until_heard
+from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, run_node
 from flock_sim.recording import Recording, recording
@@ -43,14 +44,18 @@ class RecorderNode(DrainedNode):
         record_stages: bool,
         *,
         context: Context | None = None,
+        services: bool = False,
     ) -> None:
-        """Listen to a flock of `configuration`; `run_id` 0: that of the first grant heard."""
+        """Listen to a flock of `configuration`; `run_id` 0: that of the first grant heard.
+
+        `services`: with rosout and those for parameters.
+        """
         super().__init__(
             topics.RECORDER,
             namespace=topics.NAMESPACE,
             context=context,
-            start_parameter_services=False,
-            enable_rosout=False,
+            start_parameter_services=services,
+            enable_rosout=services,
         )
         self.ledger = Ledger(configuration, record_stages)
         self._configuration = configuration
@@ -205,9 +210,17 @@ def work(process: Process) -> None:
         recording(output, configuration, grants=True, stages=stages) as run,
         executing(operation["executor"], process.context) as executor,
     ):
+        services = not process.supervised
         node = RecorderNode(
-            configuration, run, operation["run_id"], stages, context=process.context
+            configuration,
+            run,
+            operation["run_id"],
+            stages,
+            context=process.context,
+            services=services,
         )
+        if services:
+            declare(node, configuration, operation, ("output", "force", "record_stages", *OF_ALL))
         executor.add_node(node)
         record(node, executor, process.stop, process.patience())
         node.farewell(process.stop)
