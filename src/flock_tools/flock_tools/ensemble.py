@@ -10,8 +10,8 @@ from threading import Event, Lock
 import numpy as np
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.limits import NO_GAP, IntArray
+from flock_sim.core.kernel import FloatArray, IntArray
+from flock_sim.core.limits import NO_GAP
 from flock_sim.core.metrics import STABLE_BELOW
 from flock_sim.core.monolith import Monolith
 from flock_tools.workers import Workers

@@ -65,8 +65,8 @@ class Assessment:
         state = equilibrium(flock)
         groups = [parts(flock, state, m) for m in range(flock.members)]
         weakest = [
-            int(state.weakest_gap[m]) if state.exists[m] else opening_gap(state, groups[m], m)
-            for m in range(flock.members)
+            int(gap) if state.exists[m] else opening_gap(state, groups[m], m)
+            for m, gap in enumerate(state.weakest_gap)
         ]
         found = None
         if 8.0 * flock.birds**3 * flock.members <= MOST_WORK:

@@ -13,7 +13,6 @@ from scipy.stats import binomtest
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
-from flock_sim.core.formation import leader
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import plain
 from flock_tools.workers import Workers
@@ -28,7 +27,6 @@ CONFIDENCE = 0.95
 
 SMALLEST = 0.5
 """Span ratios are drawn anew until they are above this, so that no neighbours' vortices meet."""
-
 
 LARGEST = 10.0
 """Span ratios above which nobody asks: a bird of ten times the span."""
@@ -207,7 +205,7 @@ def _judged(
     state = equilibrium(Flock.of(configuration, ratio))
     smallest = np.argmin(ratio, axis=0)
     position = np.minimum(smallest, birds - 1 - smallest)
-    positions = birds - leader(birds) + 1 if birds % 2 else birds // 2
+    positions = (birds + 1) // 2
     return _Tally(
         int(state.exists.sum()),
         np.bincount(position, minlength=positions),

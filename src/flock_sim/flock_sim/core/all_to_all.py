@@ -80,11 +80,11 @@ def fill_shares(
         for i in range(birds):
             needed[i, m] = balance(span_ratio[i, m], square[m], cruise_ratio)
         behind[:] = False
+        of_birds = needed[:, m].copy()
+        saved = 2.0 * strength[:, m] * even[:, m]
         for i in range(birds - 1):
             behind[i] = True
-            share[i, m] = share_of(
-                behind, needed[:, m].copy(), pairs, 2.0 * strength[:, m] * even[:, m]
-            )
+            share[i, m] = share_of(behind, of_birds, pairs, saved)
 
 
 @kernel

@@ -61,7 +61,7 @@ class Equilibrium:
         """
         if not len(self.share):
             return np.zeros(len(self.exists), dtype=np.int64)
-        margin = np.minimum(self.share, 1.0 - self.share)
+        margin = distance_from_end(self.share)
         first = np.argmax(margin <= margin.min(axis=0) + TIE, axis=0) + 1
         return np.where(np.isnan(margin).any(axis=0), 0, first)
 
@@ -78,7 +78,7 @@ def equilibrium(flock: Flock) -> Equilibrium:
 def _equilibrium(flock: Flock) -> Equilibrium:
     if flock.coupling == "nearest" or flock.birds == 1:
         square, share = chain_shares(flock)
-        margin = _least_distance(share)
+        margin = distance_from_end(share).min(axis=0, initial=np.inf)
         spacing = np.empty_like(share)
         chain.fill_spacings(flock.span_ratio, share, spacing)
     else:
@@ -108,8 +108,9 @@ def chain_shares(flock: Flock) -> tuple[FloatArray, FloatArray]:
     return square, share
 
 
-def _least_distance(share: FloatArray) -> FloatArray:
-    distance: FloatArray = np.minimum(share, 1.0 - share).min(axis=0, initial=np.inf)
+def distance_from_end(share: FloatArray) -> FloatArray:
+    """Return how far shares are from 0 or 1, whichever is nearer; below 0 outside of (0, 1)."""
+    distance: FloatArray = np.minimum(share, 1.0 - share)
     return distance
 
 
@@ -129,7 +130,7 @@ def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, Float
         needed,
         share,
     )
-    margin = _least_distance(share)
+    margin = distance_from_end(share).min(axis=0, initial=np.inf)
     spacing = np.empty_like(share)
     near = np.clip(chain_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
     chain.fill_spacings(flock.span_ratio, near, spacing)

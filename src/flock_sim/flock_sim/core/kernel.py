@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
 
 HERE = Path(__file__).resolve().parent
 CACHE = HERE / "__pycache__" / "kernels"

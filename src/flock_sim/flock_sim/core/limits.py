@@ -7,15 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
-from flock_sim.core.kernel import FloatArray
+from flock_sim.core.kernel import FloatArray, IntArray
 from flock_sim.core.parting import opening_gap, parts
-
-IntArray = npt.NDArray[np.int64]
 
 Trial = Callable[[FloatArray], IntArray]
 """From span ratios (birds, members): 0 for a flock that holds together, else the gap that opens.
@@ -84,7 +81,7 @@ def exact_limits(
         state = equilibrium(Flock.of(configuration, span_ratio))
         return np.where(state.exists, 0, np.where(state.weakest_gap > 0, state.weakest_gap, NO_GAP))
 
-    def told(bird: int, end: End | None, outwards: float) -> End | None:
+    def with_parts(bird: int, end: End | None, outwards: float) -> End | None:
         """Look how a flock beyond the limit parts: at the limit itself many gaps may be as weak."""
         if end is None or end.gap is None:
             return end
@@ -98,8 +95,8 @@ def exact_limits(
     return [
         replace(
             limits,
-            lower=told(limits.bird, limits.lower, -1.0),
-            upper=told(limits.bird, limits.upper, 1.0),
+            lower=with_parts(limits.bird, limits.lower, -1.0),
+            upper=with_parts(limits.bird, limits.upper, 1.0),
         )
         for limits in found
     ]

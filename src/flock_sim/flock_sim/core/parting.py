@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from functools import cmp_to_key
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import lsq_linear
 
-from flock_sim.core.equilibrium import TIE, Equilibrium
+from flock_sim.core.equilibrium import TIE, Equilibrium, distance_from_end
 from flock_sim.core.flock import Flock
-from flock_sim.core.kernel import FloatArray
+from flock_sim.core.kernel import FloatArray, IntArray
 from flock_sim.core.steady_speed import balances
-
-IntArray = npt.NDArray[np.int64]
 
 TOGETHER = 1e-11
 """Difference of speeds, in U_min, that is rounding: birds fly on together."""
@@ -172,6 +169,6 @@ def opening_gap(equilibrium: Equilibrium, groups: list[list[int]], member: int) 
     share = equilibrium.share[:, member]
     part = {bird: number for number, group in enumerate(groups) for bird in group}
     open_gaps = [i for i in range(1, len(part)) if part[i] != part[i + 1]]
-    margin = np.minimum(share, 1.0 - share)
+    margin = distance_from_end(share)
     least = min((margin[i - 1] for i in open_gaps), default=0.0)
     return next((i for i in open_gaps if margin[i - 1] <= least + TIE), 0)
