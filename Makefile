@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest.
 
-.PHONY: setup demo test lint bench figures clean help
+.PHONY: setup demo test torture lint bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
 	@tools/setup
 
 demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measure them
 	@./flock fly --output runs/demo --force
-
 	@./flock picture runs/demo
 	@echo
 	@echo "The bag is runs/demo, the picture of the formation is in it. The same flight without ROS, to the bit:"
@@ -16,6 +15,9 @@ demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measur
 
 test: setup  ## run all tests
 	@./flock python -m pytest $(PYTEST_ARGS)
+
+torture: setup  ## kill the processes of flights a hundred times at random; their bags must not show it
+	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check

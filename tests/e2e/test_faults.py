@@ -137,7 +137,7 @@ def is_of(pid: int, birds: list[int]) -> bool:
 
 
 def test_a_worker_that_is_killed_is_named(terminal: Terminal) -> None:
-    job = in_flight(terminal, "--processes", 2)
+    job = in_flight(terminal, "--processes", 2, "--no-respawn")
     (pid,) = [pid for pid in job.workers(BIRD) if is_of(pid, [2, 3])]
     os.kill(pid, signal.SIGKILL)
     done = job.wait(within=2 * SOON)
@@ -147,7 +147,7 @@ def test_a_worker_that_is_killed_is_named(terminal: Terminal) -> None:
 
 
 def test_a_recorder_that_is_killed_is_named_and_what_it_wrote_is_read(terminal: Terminal) -> None:
-    job = in_flight(terminal)
+    job = in_flight(terminal, "--no-respawn")
     (pid,) = job.workers(RECORDER)
     safe = last_step(terminal.directory / "bag")
     os.kill(pid, signal.SIGKILL)

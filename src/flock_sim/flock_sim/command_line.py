@@ -23,6 +23,10 @@ LONGEST = 1e9
 """The longest time, in s, that anybody may be told to wait."""
 
 
+FLOCK_OPTIONS = ("birds", "span_ratios", "coupling", "dt", "t_max", "record_every")
+"""Keys of the configuration that have an option of their own."""
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are one line, as all of Flock's are."""
 
@@ -67,7 +71,7 @@ def add_flock_options(parser: argparse.ArgumentParser) -> None:
 def flock_configuration(options: argparse.Namespace) -> FlockConfiguration:
     """Return what `add_flock_options` read. Raises FlockError on a value that is refused."""
     parameters = configuration_file.read(options.config) if options.config else {}
-    for key in ("birds", "span_ratios", "coupling", "dt", "t_max", "record_every"):
+    for key in FLOCK_OPTIONS:
         value = getattr(options, key, None)
         if value is not None:
             parameters[key] = value

@@ -10,11 +10,12 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
 from flock_sim import configuration_file
+from flock_sim.command_line import note
 from flock_sim.errors import RunFailed
 from flock_sim.shared_memory import remove_orphans
 
@@ -25,52 +26,103 @@ GRACE = 3.0
 """Time, in s, that a process has to end in order before it is killed."""
 
 
+MOST_DEATHS = 5
+"""How often a process may be killed, with no progress in between, before the flight is given up."""
+
+
+STOPPED = 128
+"""Exit statuses from here on are of processes that somebody has ended, by the signal's number."""
+
+
 @dataclass
 class _Hand:
     who: str
-    process: subprocess.Popen[bytes]
+    command: list[str]
+    to_the_end: bool
+    deaths: int = 0  # since the flight has come to `progress`
+    progress: int = -1
+    process: subprocess.Popen[bytes] = field(init=False)
 
 
 class Crew:
     """A group of node processes; leaving the context ends those that still run."""
 
-    def __init__(self, parameters: Path) -> None:
-        """Give every process the file `parameters`; beside it, each gets one of its own."""
-        self._parameters = parameters
-        self._hands: list[_Hand] = []
+    def __init__(self, parameters: Path, respawn: bool = False) -> None:
+        """Give every process the file `parameters`; beside it, each gets one of its own.
 
-    def start(self, who: str, module: str, parameters: Mapping[str, object]) -> None:
-        """Start `module` with ROS `parameters`; `who` is what it is called in messages."""
+        `respawn`: start those again that were killed.
+        """
+        self._parameters = parameters
+        self._respawn = respawn
+        self._hands: list[_Hand] = []
+        self.deaths = 0
+        """How many processes were killed, and started again."""
+
+    def start(
+        self, who: str, module: str, parameters: Mapping[str, object], *, to_the_end: bool = False
+    ) -> None:
+        """Start `module` with ROS `parameters`; `who` is what it is called in messages.
+
+        `to_the_end`: it has something to do when the flight is over, and must end well.
+        """
         # In a file: on the command line, ROS would read the values as YAML.
         own = self._parameters.with_name(f"{len(self._hands)}.yaml")
         own.write_text(configuration_file.text(parameters), encoding="utf-8")
         command = [sys.executable, "-P", "-m", module, "--ros-args", "--disable-external-lib-logs"]
         for file in (self._parameters, own):
             command += ["--params-file", str(file)]
-        environment = {**os.environ, SUPERVISED: str(os.getpid())}
+        hand = _Hand(who, command, to_the_end)
         with _interrupt_deferred():
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=environment)
-            self._hands.append(_Hand(who, process))
+            _run(hand)
+            self._hands.append(hand)
 
-    def check(self) -> None:
-        """Raise RunFailed if a process ended otherwise than well."""
+    def check(self, progress: int = 0) -> None:
+        """Start again who was killed; raise RunFailed if somebody ended otherwise than well.
+
+        `progress` tells how far the flight has come: who is killed again and again, before it comes
+        any further, is not started again for ever.
+        """
         for hand in self._hands:
-            status = hand.process.poll()
-            if status:
-                raise RunFailed(f"{hand.who} {_ended(status)}")
+            if status := hand.process.poll():
+                self._start_again(hand, status, progress)
+
+    def _start_again(self, hand: _Hand, status: int, progress: int) -> None:
+        if not self._respawn or 0 < status < STOPPED:
+            raise RunFailed(f"{hand.who} {_ended(status)}")
+        if progress > hand.progress:
+            hand.progress, hand.deaths = progress, 0
+        hand.deaths += 1
+        if hand.deaths > MOST_DEATHS:
+            raise RunFailed(
+                f"{hand.who} {_ended(status)}, {hand.deaths} times without any progress in between"
+            )
+        self.deaths += 1
+        note(f"{hand.who} {_ended(status)}: started again")
+        remove_orphans()
+        with _interrupt_deferred():
+            _run(hand)
 
     def join(self, timeout: float) -> None:
-        """Wait until all have ended well; raise RunFailed after `timeout` s."""
+        """Wait until all have ended, well if they had to; raise RunFailed after `timeout` s."""
         deadline = time.monotonic() + timeout
         while any(hand.process.poll() is None for hand in self._hands):
-            self.check()
+            self._check_at_end()
             if time.monotonic() > deadline:
                 running = [hand.who for hand in self._hands if hand.process.poll() is None]
                 raise RunFailed(
                     f"{' and '.join(running)} did not end within {timeout:g} s of the flight's end"
                 )
             time.sleep(0.005)  # a poll of processes, which nothing announces
-        self.check()
+        self._check_at_end()
+
+    def _check_at_end(self) -> None:
+        """Do as `check`; but nobody needs those any more who have nothing to do at the end."""
+        for hand in self._hands:
+            status = hand.process.poll()
+            if status and not (self._respawn and (status < 0 or status >= STOPPED)):
+                raise RunFailed(f"{hand.who} {_ended(status)}")
+            if status and hand.to_the_end:
+                self._start_again(hand, status, 0)
 
     def stop(self) -> None:
         """End every process that runs: in order if it can be, by force after GRACE."""
@@ -97,6 +149,11 @@ class Crew:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
+
+
+def _run(hand: _Hand) -> None:
+    environment = {**os.environ, SUPERVISED: str(os.getpid())}
+    hand.process = subprocess.Popen(hand.command, stdin=subprocess.DEVNULL, env=environment)
 
 
 @contextmanager

@@ -22,11 +22,11 @@ RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
 
 @contextmanager
 def own_domain() -> Iterator[None]:
-    """Hold a ROS domain on which no other `fly` of this machine is: flights must not mix.
+    """Hold a ROS domain on which no other `fly` of this machine is, if the environment names none.
 
-    That of the environment or, where it names none, the first that is free. Held by a name in the
-    kernel's abstract socket namespace, which is free again when this process ends, however it does.
-    Raises FlockError where the environment's is taken.
+    The first that is free, held by a name in the kernel's abstract socket namespace, which is free
+    again when this process ends, however it does. One that the environment names is taken as it is:
+    flights on one domain do not touch each other, and only listen to each other's noise.
     """
     chosen = os.environ.get(DOMAIN)
     with socket.socket(socket.AF_UNIX) as claim:
@@ -35,10 +35,8 @@ def own_domain() -> Iterator[None]:
                 claim.bind(f"\0flock-domain-{domain}")
                 break
         else:
-            raise FlockError(
-                f"{DOMAIN} = {chosen or f'0..{SAFE_DOMAINS - 1}'}: another flight of this machine "
-                "is on it; wait for its end or name another"
-            )
+            domain = int(chosen or 0)
+            note(f"another flight is on ROS domain {domain} too")
         if domain and not chosen:
             note(f"another flight is on ROS domain 0: this one has {DOMAIN}={domain}")
         os.environ[DOMAIN] = str(domain)

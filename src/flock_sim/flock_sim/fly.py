@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from flock_sim import configuration_file
 from flock_sim.bag.output import claim_output
@@ -33,7 +33,9 @@ from flock_sim.discovery import own_domain, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
 from flock_sim.progress import progress_bar
+from flock_sim.recording import lay_down
 from flock_sim.report import add_output_options, output_directory, report
+from flock_sim.resume import Resumable, resumable
 
 PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
@@ -45,7 +47,8 @@ EXAMPLES = """\
   ./flock fly                                         thirteen geese to their steady state
   ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
   ./flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
-  ./flock fly --config flock.yaml --output runs/mine --force"""
+  ./flock fly --config flock.yaml --output runs/mine --force
+  ./flock fly --resume runs/mine                      goes on with a flight that was cut short"""
 
 
 @dataclass(frozen=True)
@@ -59,24 +62,32 @@ class Plan:
     executor: str
     timeout: float
     record_stages: bool
+    respawn: bool
+    resume: bool
+    begun: float
+    """Monotonic time, in s, at which it was asked for."""
 
 
 def tool(arguments: Sequence[str]) -> int:
     """Fly a flock over ROS 2, record it, and say what came of it."""
     options = _parser().parse_args(arguments)
-    plan = _plan(options)
+    resumed = resumable(options.resume, options) if options.resume else None
+    plan = _plan(options, resumed)
+    if resumed and resumed.complete:
+        note(f"{options.resume} is complete: nothing to go on with")
+        flight = {"steps_per_second": 0.0, "wall_seconds": 0.0, "output": str(options.resume)}
+        report(flight, plan.configuration, options.json)
+        return 0
     prepare_discovery()
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _terminated)
     with own_domain():
         if plan.output is not None:
-            claim_output(plan.output, options.force)
-            note(f"recording to {plan.output}")
-        begun = time.monotonic()
-        steps_per_second = _fly(plan)
+            _prepare(plan.output, plan, options.force)
+        flight = _fly(plan)
     flight = {
-        "steps_per_second": steps_per_second,
-        "wall_seconds": time.monotonic() - begun,
+        **flight,
+        "wall_seconds": time.monotonic() - plan.begun,
         "output": None if plan.output is None else str(plan.output),
     }
     report(flight, plan.configuration, options.json)
@@ -89,6 +100,12 @@ def _parser() -> Parser:
     )
     add_flock_options(parser)
     add_output_options(parser)
+    parser.add_argument(
+        "--resume",
+        metavar="RUN",
+        type=Path,
+        help="go on with a flight that was cut short, from the last step in its bag",
+    )
     how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
     how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
     how.add_argument(
@@ -103,31 +120,49 @@ def _parser() -> Parser:
         default="60",
         help="longest standstill before giving up, in s (60)",
     )
+    how.add_argument(
+        "--no-respawn", action="store_true", help="end the flight when a process of it is killed"
+    )
     how.add_argument("--record-stages", action="store_true", help="record RK4 stages too")
     how.add_argument("--no-record", action="store_true", help="fly without a bag")
     return parser
 
 
-def _plan(options: argparse.Namespace) -> Plan:
-    configuration = flock_configuration(options)
+def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
+    configuration = resumed.configuration if resumed else flock_configuration(options)
     if options.executor not in EXECUTORS:
         raise FlockError(f"--executor {options.executor}: {nearest(options.executor, EXECUTORS)}")
     if options.no_record and options.record_stages:
         raise FlockError("--record-stages and --no-record exclude each other: leave one out")
-    topics.steps_ahead(configuration, options.record_stages)  # refuses what can't be recorded
+    stages = resumed.stages if resumed else options.record_stages
+    topics.steps_ahead(configuration, stages)  # refuses what can't be recorded
+    output = options.resume or (None if options.no_record else output_directory(options, "fly"))
     return Plan(
         configuration,
-        None if options.no_record else output_directory(options, "fly"),
+        output,
         whole_number("--processes", options.processes, 1, configuration.birds),
         whole_number("--window", options.window, 1),
         options.executor,
         positive_number("--timeout", options.timeout),
-        options.record_stages,
+        stages,
+        not options.no_respawn,
+        resumed is not None,
+        time.monotonic(),
     )
 
 
-def _fly(plan: Plan) -> float:
-    """Fly `plan` to its end; return the steps per second from the first step to the last."""
+def _prepare(output: Path, plan: Plan, force: bool) -> None:
+    """Have the beginning of a bag in `output`: from then on the flight can be resumed."""
+    if plan.resume:
+        note(f"going on with {output}")
+        return
+    claim_output(output, force)
+    lay_down(output, plan.configuration, grants=True, stages=plan.record_stages)
+    note(f"recording to {output}")
+
+
+def _fly(plan: Plan) -> dict[str, Any]:
+    """Fly `plan` to its end; return how that went: its rate, and what recovering has cost."""
     configuration = plan.configuration
     run_id = new_run_id()
     with tempfile.TemporaryDirectory(prefix="flock-") as directory:
@@ -139,20 +174,22 @@ def _fly(plan: Plan) -> float:
             "executor": plan.executor,
             "timeout": plan.timeout + PATIENCE_OF_CREW,
         }
-        with Crew(parameters) as crew:
+        with Crew(parameters, plan.respawn) as crew:
             if plan.output is not None:
-                output = {
+                recorder = {
+                    **common,
                     "output": str(plan.output.absolute()),
+                    "resume": True,
                     "record_stages": plan.record_stages,
                 }
-                crew.start("the recorder", "flock_sim.nodes.recorder", {**common, **output})
+                crew.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
             for birds in _shares(configuration.birds, plan.processes):
                 crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
             return _keep_time(plan, run_id, crew)
 
 
-def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
-    """Be the clock of the flight; return its steps per second."""
+def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
+    """Be the clock of the flight."""
     # Imported here, while the others are starting: it takes as long for us as for them.
     import rclpy
 
@@ -164,6 +201,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
     keeper = Timekeeper(
         configuration, run_id, plan.window, plan.output is not None, plan.record_stages
     )
+    furthest = -1
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     try:
         with (
@@ -172,19 +210,27 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> float:
         ):
 
             def watch() -> None:
-                show(keeper.step)
-                crew.check()
+                nonlocal furthest
+                furthest = max(furthest, keeper.step)
+                show(max(keeper.step, 0))
+                crew.check(furthest)
 
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
             clock = ClockNode(keeper, depth, context=context)
             executor.add_node(clock)
-            seconds = keep_time(clock, executor, Patience(plan.timeout, note), watch)
+            begun, ended = keep_time(clock, executor, Patience(plan.timeout, note), watch)
             watch()
-            clock.farewell(stop=False)
+            clock.release()
             crew.join(JOIN_LIMIT)
     finally:
         rclpy.try_shutdown(context=context)
-    return configuration.steps / seconds
+    return {
+        "steps_per_second": keeper.distance / (ended - begun) if ended > begun else 0.0,
+        "start_seconds": begun - plan.begun,
+        "steps_flown_again": keeper.rewinds.steps,
+        "rewinds": keeper.rewinds.count,
+        "restarts": crew.deaths,
+    }
 
 
 def _shares(birds: int, processes: int) -> list[list[int]]:

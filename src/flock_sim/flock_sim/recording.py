@@ -32,6 +32,9 @@ class Recording:
         """Begin a bag; `kinds` gives the message of each topic, in the order of the bag."""
         self._configuration = configuration
         self._stamp = 0
+        self.saved = -1
+        self.checkpoint: list[bytes] = []
+        self._last: Row | None = None
         self.bag = BagWriter(
             directory,
             [
@@ -60,6 +63,12 @@ class Recording:
         write(topics.CLOCK_TOPIC, stamp, row.time)
         for place, data in zip(self._states, row.states, strict=True):
             write(place, stamp, data)
+        self._last = row
+
+    def flush(self):
+        self.bag.flush()
+        if self._last:
+            self.saved, self.checkpoint = self._last.step, self._last.states
 
     def write_grant(self, data: bytes) -> None:
         """Write a grant, at the simulated time of the row before it."""
@@ -68,7 +77,12 @@ class Recording:
 
 @contextmanager
 def recording(
-    directory: Path, configuration: FlockConfiguration, *, grants: bool, stages: bool = False
+    directory: Path,
+    configuration: FlockConfiguration,
+    *,
+    grants: bool,
+    stages: bool = False,
+    resume: bool = False,
 ) -> Iterator[Recording]:
     """Give a recording whose bag is closed, and so complete, however the block ends."""
     birds = range(1, configuration.birds + 1)
@@ -97,3 +111,7 @@ def configuration_of(record: Mapping[str, str]) -> FlockConfiguration:
     values = {key: json.loads(value) for key, value in record.items()}
     values.pop("flock_version", None)
     return FlockConfiguration.from_parameters(values)
+
+
+def lay_down(directory, configuration, *, grants, stages):
+    pass

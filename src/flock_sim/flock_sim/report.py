@@ -51,9 +51,15 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
         return
     if metrics is not None:
         print(summary(metrics))
-    print(
-        f"flown: {configuration.steps} steps, {flight['steps_per_second']:.0f} steps/s, "
-        f"{flight['wall_seconds']:.1f} s in all"
-    )
+    if flight["wall_seconds"]:
+        print(
+            f"flown: {configuration.steps} steps, {flight['steps_per_second']:.0f} steps/s, "
+            f"{flight['wall_seconds']:.1f} s in all"
+        )
+    if flight.get("rewinds"):
+        print(
+            f"recovered: {flight['restarts']} processes started again, {flight['rewinds']} times "
+            f"back to what is on disk, {flight['steps_flown_again']} steps flown again"
+        )
     if metrics is not None:
         print(f"bag:   {flight['output']}")

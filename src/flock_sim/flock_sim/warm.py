@@ -10,7 +10,7 @@ from flock_sim.core.aerodynamics import interaction_integral
 from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
-from flock_sim.core.messages import Grant, Wing
+from flock_sim.core.messages import Checkpoint, Grant, Wing
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.protocol import BirdProtocol
 from flock_sim.core.stability import eigenvalues
@@ -22,9 +22,12 @@ def warm() -> None:
     for _ in Monolith(configuration).fly():
         pass
     alone = FlockConfiguration(birds=1, t_max=1.0)
-    BirdProtocol(1, alone).receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
+    bird = BirdProtocol(1, alone)
+    bird.receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
+    bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
     bird = BirdProtocol(1, configuration, run_id=1)
     bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
+    bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
     bird.receive_wing(Wing(1, 2, configuration.span_ratio[1]))
     interaction_integral(1.0, 2.0, 0.5, 0.5)
 

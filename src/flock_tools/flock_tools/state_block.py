@@ -10,10 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.core.kernel import FloatArray
-from flock_sim.core.messages import ENCAPSULATION, FRAME, STATE_STEP_AT, State
+from flock_sim.core.messages import (
+    ENCAPSULATION,
+    FRAME,
+    STATE_ENVELOPE,
+    STATE_STEP_AT,
+    State,
+)
 from flock_sim.run import ARRAYS
 
 HEAD = 44  # bytes before the arrays: encapsulation, header, step and time
+TAIL = STATE_ENVELOPE.size  # bytes after them: run id and epoch
 _FRAME = (len(FRAME) + 1).to_bytes(4, "little") + FRAME.encode() + b"\0"
 _FRAME_AT = 12
 _COUNT = 8  # bytes of an array's length, with the padding after it
@@ -38,7 +45,7 @@ def members_of(data: bytes) -> int:
 @lru_cache(maxsize=64)  # the states of a bag are of one length, as a rule
 def _layout(size: int) -> tuple[int, bytes, list[int]]:
     """Return the members of a state of `size` bytes, how they are counted, and where."""
-    stride, rest = divmod(size - HEAD, len(ARRAYS))
+    stride, rest = divmod(size - HEAD - TAIL, len(ARRAYS))
     members, more = divmod(stride - _COUNT, 8)
     if rest or more or members < 1:
         return 0, b"", [0, 0, 0, 0]
@@ -64,6 +71,8 @@ def steps_of(states: Sequence[bytes]) -> npt.NDArray[np.int64]:
 def values_of(states: Sequence[bytes], members: int) -> FloatArray:
     """Return the arrays of states that all have `members_of` so many: (states, 4, members)."""
     array = np.dtype([("count", f"V{_COUNT}"), ("values", "<f8", (members,))])
-    state = np.dtype([("head", f"V{HEAD}"), ("arrays", array, (len(ARRAYS),))])
+    state = np.dtype(
+        [("head", f"V{HEAD}"), ("arrays", array, (len(ARRAYS),)), ("tail", f"V{TAIL}")]
+    )
     values: FloatArray = np.frombuffer(b"".join(states), dtype=state)["arrays"]["values"]
     return values

@@ -4,15 +4,19 @@
 A row is all that belongs to one recorded step: the wings (with the first), the stages of the steps
 since the row before (where stages are recorded), the time, and the state of every bird. Rows leave
 in order, each once, so that what the bag holds does not depend on how messages travelled.
+
+States say which run and epoch they are of; in the bag they say so no more.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import State, Time
 from flock_sim.core.runge_kutta import STAGES
+from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.core.stage_message import stage_header
 
 
@@ -42,16 +46,25 @@ class _Gathering:
 class Ledger:
     """Gathers the rows of one run; what comes twice or is not due is counted and left out."""
 
-    def __init__(self, configuration: FlockConfiguration, record_stages: bool = False) -> None:
-        """Expect every recorded step of `configuration`."""
-        self.ignored = 0
+    def __init__(
+        self, configuration: FlockConfiguration, record_stages: bool = False, saved: int = -1
+    ) -> None:
+        """Expect every recorded step of `configuration` after `saved`."""
+        self.ignored_for: Counter[str] = Counter()
+        """How many messages were left out, by the reason."""
         self._configuration = configuration
         self._every = configuration.record_every
         self._record_stages = record_stages
         self._rows: dict[int, _Gathering] = {}
         self._wings: dict[int, bytes] = {}
-        self._next = 0
+        self._run = (0, 0)  # run id and epoch that are recorded
+        self._next = 0 if saved < 0 else saved + self._every
         self._last = configuration.steps - configuration.steps % self._every
+
+    @property
+    def ignored(self) -> int:
+        """How many messages were left out."""
+        return self.ignored_for.total()
 
     @property
     def saved(self) -> int:
@@ -63,6 +76,15 @@ class Ledger:
         """Whether every row has left."""
         return self._next > self._last
 
+    def begin(self, run_id: int, epoch: int) -> None:
+        """Expect states of a new epoch; what was gathered and is not complete comes again."""
+        self._run = (run_id, epoch)
+        self._rows.clear()
+
+    def end_at(self, step: int) -> None:
+        """Expect nothing after `step`: the run is to be stopped there."""
+        self._last = min(self._last, step - step % self._every)
+
     @property
     def waiting_for(self) -> list[int]:
         """The birds of which the next row lacks something."""
@@ -70,7 +92,7 @@ class Ledger:
         return [
             bird
             for bird in range(1, self._configuration.birds + 1)
-            if bird not in row.states or bird not in self._wings
+            if bird not in row.states or (self._next == 0 and bird not in self._wings)
         ]
 
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
@@ -80,11 +102,15 @@ class Ledger:
 
     def add_state(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
+        if len(data) != State.size(self._configuration.members):
+            return self._ignore(MISSHAPEN)
+        run_id, epoch = State.envelope(data)
+        if (run_id, epoch) != self._run:
+            return self._ignore(FOREIGN if run_id != self._run[0] else STALE)
         step = State.step_of(data)
         if not self._due(step) or bird in self._row(step).states:
-            self.ignored += 1
-            return []
-        self._row(step).states[bird] = data
+            return self._ignore(REPEATED)
+        self._row(step).states[bird] = State.opened(data)
         return self._complete()
 
     def add_time(self, data: bytes) -> list[Row]:
@@ -93,20 +119,24 @@ class Ledger:
         row_of_time = self._every * self._configuration.dt * self._configuration.second * 1e9
         step = round(stamp / row_of_time) * self._every
         if not self._due(step) or self._configuration.stamp(step) != stamp:
-            self.ignored += 1
-            return []
+            return self._ignore(REPEATED)
         self._row(step).time = data
         return self._complete()
 
     def add_stage(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdStage of `bird`; return the rows that are complete with it."""
-        _, step, _, _, stage, _ = stage_header(data)
+        run_id, step, epoch, _, stage, _ = stage_header(data)
+        if (run_id, epoch) != self._run:
+            return self._ignore(FOREIGN if run_id != self._run[0] else STALE)
         row = step - step % self._every + self._every
         if not self._due(row):
-            self.ignored += row <= self._last
-            return []
+            return self._ignore(REPEATED) if row <= self._last else []
         self._row(row).stages[STAGES * step + stage, bird] = data
         return self._complete()
+
+    def _ignore(self, reason: str) -> list[Row]:
+        self.ignored_for[reason] += 1
+        return []
 
     def _due(self, step: int) -> bool:
         return step % self._every == 0 and self._next <= step <= self._last
@@ -122,7 +152,7 @@ class Ledger:
             row = self._row(self._next)
             if (
                 row.time is None
-                or len(self._wings) < len(birds)
+                or (self._next == 0 and len(self._wings) < len(birds))
                 or len(row.states) < len(birds)
                 or len(row.stages) < (stages if self._next else 0)
             ):

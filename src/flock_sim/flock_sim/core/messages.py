@@ -18,6 +18,7 @@ from flock_sim.core.kernel import FloatArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 FRAME = "flock"
+STATE_ENVELOPE = struct.Struct("<QI")  # run id and epoch, the last fields of a state
 STATE_STEP_AT = 28  # encapsulation 4, stamp 8, length of FRAME 4, FRAME and its zero 6, padding 6
 
 BILLION = 1_000_000_000
@@ -125,7 +126,7 @@ class State(Message):
     """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless."""
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
-    KINDS: ClassVar[tuple[str, ...]] = ("i", "I", "text", "Q", "d", *4 * ("numbers",))
+    KINDS: ClassVar[tuple[str, ...]] = ("i", "I", "text", "Q", "d", *4 * ("numbers",), "Q", "I")
 
     seconds: int
     nanoseconds: int
@@ -136,6 +137,8 @@ class State(Message):
     speed: FloatArray
     circulation: FloatArray
     interaction_drag: FloatArray
+    run_id: int = 0
+    epoch: int = 0
 
     @staticmethod
     def step_of(data: bytes) -> int:
@@ -143,6 +146,22 @@ class State(Message):
         if len(data) < STATE_STEP_AT + 8:
             raise ValueError(f"{State.TYPE}: {len(data)} bytes are too few")
         return int.from_bytes(data[STATE_STEP_AT : STATE_STEP_AT + 8], "little")
+
+    @staticmethod
+    def size(members: int) -> int:
+        """Return the length of an encoded state of `members`, in bytes."""
+        return STATE_STEP_AT + 16 + 4 * 8 * (members + 1) + STATE_ENVELOPE.size
+
+    @staticmethod
+    def envelope(data: bytes) -> tuple[int, int]:
+        """Return run id and epoch of an encoded state, without decoding it."""
+        run_id, epoch = STATE_ENVELOPE.unpack_from(data, len(data) - STATE_ENVELOPE.size)
+        return run_id, epoch
+
+    @staticmethod
+    def opened(data: bytes) -> bytes:
+        """Return an encoded state as it is recorded: of no run and no epoch."""
+        return data[: -STATE_ENVELOPE.size] + bytes(STATE_ENVELOPE.size)
 
     @classmethod
     def at(
@@ -153,6 +172,8 @@ class State(Message):
         speed: FloatArray,
         circulation: FloatArray,
         interaction_drag: FloatArray,
+        run_id: int = 0,
+        epoch: int = 0,
     ) -> State:
         """Return the state at the beginning of `step`, with its stamp and time."""
         return cls(
@@ -164,34 +185,70 @@ class State(Message):
             speed,
             circulation,
             interaction_drag,
+            run_id,
+            epoch,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Grant(Message):
-    """Grant: birds may go up to the beginning of `step`; the run ends at step `end`."""
+    """Grant: birds may go up to the beginning of `step`; the run ends at step `end`.
+
+    `terms` is what is flown, as `core.terms` writes it; `perturbation` the id of the last one asked
+    for in flight.
+    """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Grant"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "Q", "d", "I")
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "Q", "d", "I", "text", "Q")
 
     run_id: int
     step: int
     end: int
     dt: float
     epoch: int
+    terms: str = ""
+    perturbation: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Progress(Message):
-    """Progress: a bird has reached `step`, or the recorder has all up to `step` on disk."""
+    """Progress: a bird has reached `step`, or the recorder has all up to `step` on disk.
+
+    `life` is drawn by the process that is `who`, which thereby is told from those before it.
+    """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Progress"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "q", "I", "text")
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "q", "I", "text", "Q")
 
     run_id: int
     step: int
     epoch: int
     who: str
+    life: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint(Message):
+    """Checkpoint: where `epoch` begins: at `step`, the last one on disk.
+
+    `position` and `speed` have shape (birds * members,), bird by bird; empty: the flight begins.
+    `perturbations` are those asked for in flight so far, between spaces.
+    """
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/Checkpoint"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "numbers", "numbers", "text")
+
+    run_id: int
+    step: int
+    epoch: int
+    position: FloatArray
+    speed: FloatArray
+    perturbations: str = ""
+
+    @classmethod
+    def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:
+        """Return the checkpoint of a flight of which nothing is recorded."""
+        return cls(run_id, 0, epoch, np.empty(0), np.empty(0), perturbations)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,21 +2,30 @@
 """How the clock keeps a flock together, as a state machine: progress in, leave and time out.
 
 The flock may go `window` steps beyond its slowest bird, and never further beyond what is on disk
-than the messages on the way to the recorder can hold.
+than the messages on the way to the recorder can hold. When somebody has died and come back, or this
+clock is itself a new one, the flock is sent back to what is on disk: a new epoch.
 """
 
 from __future__ import annotations
 
 import secrets
+from collections import Counter
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Grant, Progress, Time
+from flock_sim.core.messages import Checkpoint, Grant, Progress, Time
+from flock_sim.core.stage_inbox import FOREIGN, REACH, REPEATED, STALE
+from flock_sim.core.terms import terms
 from flock_sim.core.topics import RECORDER, bird_name, steps_ahead
 
 ABSENT = -2
 """The step of somebody who has not been heard of. -1 is a bird that is there and has not heard its
 neighbours, or a recorder that is there and has recorded nothing."""
+
+UNKNOWN = "from nobody of this flock"
+
+Message = Grant | Time | Checkpoint
 
 
 def new_run_id() -> int:
@@ -24,12 +33,20 @@ def new_run_id() -> int:
     return secrets.randbelow(2**63 - 1) + 1
 
 
+@dataclass
+class Rewinds:
+    """What recovering has cost so far: how many times, and the steps that were flown again."""
+
+    count: int = 0
+    steps: int = 0
+
+
 class Timekeeper:
-    """The clock of one run. Feed it Progress; send the Grants and Times it returns, in order.
+    """The clock of one run. Feed it Progress; send the messages it returns, in order.
 
     >>> clock = Timekeeper(FlockConfiguration(birds=1, t_max=9.0), run_id=7, window=4, record=False)
-    >>> clock.first_grant.step
-    0
+    >>> [type(message).__name__ for message in clock.first_messages]
+    ['Grant', 'Checkpoint']
     >>> clock.receive(Progress(7, 0, 1, "bird_01"))[-1].step
     4
     """
@@ -41,40 +58,68 @@ class Timekeeper:
         window: int,
         record: bool,
         record_stages: bool = False,
+        epoch: int = 1,
     ) -> None:
-        """Begin a run of `configuration` under `run_id`; `record`: there will be a recorder."""
+        """Begin a run of `configuration` under `run_id`; `record`: there will be a recorder.
+
+        `epoch` is the first one; a clock that takes the place of another begins with a later one.
+        """
         self._configuration = configuration
         self._window = window
         self._ahead = steps_ahead(configuration, record_stages)
+        self._terms = terms(configuration)
         self.run_id = run_id
-        self.epoch = 1
-        self.step = ABSENT
-        """The step that every bird has reached; below 0 before they have heard each other."""
+        self.epoch = epoch
+        self.end = configuration.steps
+        """The last step: that of the configuration, or where the run was stopped."""
         self.moves = 0
         """How often anybody has moved: a run in which this stays stands still."""
-        birds = (bird_name(bird) for bird in range(1, configuration.birds + 1))
-        self._reached = dict.fromkeys([*birds, *([RECORDER] if record else [])], ABSENT)
-        self._heard: set[str] = set()  # since anybody has moved
+        self.rewinds = Rewinds()
+        self.ignored_for: Counter[str] = Counter()
+        """How many messages changed nothing, by the reason."""
+        birds = [bird_name(bird) for bird in range(1, configuration.birds + 1)]
+        self._birds = frozenset(birds)
+        self._lives: dict[str, set[int]] = {
+            name: set() for name in [*birds, *([RECORDER] if record else [])]
+        }
         self._record = record
+        self._pause_at: int | None = None
+        self._perturbation = 0
+        self._reached_before = 0  # the step that was reached when the last rewind came
+        self._first: int | None = None  # the step that this clock began at
+        self._begin_epoch()
+
+    def _begin_epoch(self) -> None:
+        self.step = ABSENT
+        """The step that every bird has reached; below 0 before they have heard each other."""
+        self._reached = dict.fromkeys(self._lives, ABSENT)
+        self._heard: set[str] = set()  # since anybody has moved
         self._granted = 0
-        self._told = -1
+        self._told = -1  # the last step whose time was told, or that is on disk
 
     @property
-    def first_grant(self) -> Grant:
-        """The message that begins the run: everybody to the start."""
-        return self._grant(0)
+    def first_messages(self) -> list[Message]:
+        """The messages that begin an epoch: everybody to the checkpoint."""
+        messages: list[Message] = [self.grant]
+        if not self._record:
+            messages.append(Checkpoint.of_start(self.run_id, self.epoch))
+        return messages
+
+    @property
+    def grant(self) -> Grant:
+        """The leave that was given last."""
+        return self._grant(self._granted)
 
     @property
     def release(self) -> Grant:
         """The message that ends the run, leave beyond its end: nobody needs the birds any more."""
-        return self._grant(self._configuration.steps + 1)
+        return self._grant(self.end + 1)
 
     @property
     def finished(self) -> bool:
         """Whether the last step is reached, and on disk where it is to be recorded."""
-        end = self._configuration.steps
-        last_recorded = end - end % self._configuration.record_every
-        return self.step == end and (not self._record or self._saved >= last_recorded)
+        last_recorded = self.end - self.end % self._configuration.record_every
+        return self.step >= self.end and (not self._record or self.saved >= last_recorded)
 
     @property
     def begun(self) -> bool:
@@ -82,9 +127,29 @@ class Timekeeper:
         return self.step >= 0 and ABSENT not in self._reached.values()
 
     @property
+    def paused(self) -> bool:
+        """Whether the flock has come to where it was told to pause."""
+        return self._pause_at is not None and self.step >= self.pauses_at
+
+    @property
+    def pauses_at(self) -> int:
+        """The step that the flock pauses at; its end where it does not."""
+        return self.end if self._pause_at is None else min(self._pause_at, self.end)
+
+    @property
+    def lag(self) -> int:
+        """Steps that the flock is ahead of what is on disk; 0 where nothing is recorded."""
+        return max(0, self.step - max(self.saved, 0)) if self._record else 0
+
+    @property
+    def saved(self) -> int:
+        """The last step that is on disk; -1 or less for none."""
+        return self._reached[RECORDER]
+
+    @property
     def where(self) -> str:
         """Where the run is, in words."""
-        return f"at step {self.step} of {self._configuration.steps}" if self.begun else "to begin"
+        return f"at step {self.step} of {self.end}" if self.begun else "to begin"
 
     @property
     def waiting_for(self) -> list[str]:
@@ -94,29 +159,92 @@ class Timekeeper:
             return absent
         if self.step < max(self._granted, 1):
             # Who waits says so again and again; who is silent is what they wait for.
-            silent = [name for name, _ in self._birds() if name not in self._heard]
-            behind = [name for name, step in self._birds() if step == self.step]
+            silent = [name for name, _ in self._birds_reached() if name not in self._heard]
+            behind = [name for name, step in self._birds_reached() if step == self.step]
             return silent if silent and self._heard else behind
         return [RECORDER] if self._record else []
 
-    def receive(self, progress: Progress) -> list[Grant | Time]:
+    def receive(self, progress: Progress) -> list[Message]:
         """Take somebody's progress; what is not of this run, or not new, changes nothing."""
-        if progress.run_id != self.run_id or progress.epoch != self.epoch:
-            return []
+        if progress.run_id != self.run_id:
+            return self._ignore(FOREIGN)
+        lives = self._lives.get(progress.who)
+        if lives is None:
+            return self._ignore(UNKNOWN)
+        came_back = bool(lives) and progress.life not in lives
+        lives.add(progress.life)
+        if progress.epoch > self.epoch + REACH:
+            return self._ignore(REPEATED)
+        if came_back or progress.epoch > self.epoch:
+            self.epoch = max(self.epoch, progress.epoch)
+            return self.rewind()
+        if progress.epoch < self.epoch:
+            return self._ignore(STALE)
+        if progress.step > self.end:
+            return self._ignore(REPEATED)
         self._heard.add(progress.who)
-        if progress.step <= self._reached.get(progress.who, progress.step):
+        if progress.step <= self._reached[progress.who]:
             return []
+        first = self._reached[progress.who] == ABSENT
         self._reached[progress.who] = progress.step
         self.moves += 1
         self._heard.clear()
-        self.step = min(step for _, step in self._birds())
+        if progress.who == RECORDER and first:
+            self._told, self._granted = progress.step, max(0, progress.step)
+        self.step = min(step for _, step in self._birds_reached())
+        if not self.begun:
+            return []
+        self._count_steps_lost()
         return [*self._times(), *self._grants()]
 
-    @property
-    def _saved(self) -> int:
-        return self._reached[RECORDER]
+    def rewind(self) -> list[Message]:
+        """Send everybody back to what is on disk, under a new epoch."""
+        if self.begun:
+            self._reached_before = self.step
+        self.rewinds.count += 1
+        self.epoch += 1
+        self.moves += 1
+        self._begin_epoch()
+        return self.first_messages
 
-    def _birds(self) -> Iterable[tuple[str, int]]:
+    def pause(self) -> None:
+        """Give no more leave than was given."""
+        self._pause_at = self._granted
+
+    def resume(self) -> list[Grant]:
+        """Go on after a pause."""
+        self._pause_at = None
+        return self._grants() if self.begun else []
+
+    def take_steps(self, count: int) -> list[Grant]:
+        """Give leave for `count` steps more, and then pause."""
+        start = self._granted if self._pause_at is None else self._pause_at
+        self._pause_at = start + count
+        return self._grants() if self.begun else []
+
+    def stop(self) -> list[Message]:
+        """End the run where leave ends."""
+        self.end = max(self._granted, 0)
+        self._pause_at = None
+        return [self.grant]
+
+    @property
+    def distance(self) -> int:
+        """How many steps the flock has come since this clock began."""
+        return max(0, self.step - (self._first or 0))
+
+    def _count_steps_lost(self) -> None:
+        if self._first is None:
+            self._first = self.step
+        if self._reached_before:
+            self.rewinds.steps += max(0, self._reached_before - self.step)
+            self._reached_before = 0
+
+    def _ignore(self, reason: str) -> list[Message]:
+        self.ignored_for[reason] += 1
+        return []
+
+    def _birds_reached(self) -> Iterable[tuple[str, int]]:
         return ((name, step) for name, step in self._reached.items() if name != RECORDER)
 
     def _times(self) -> list[Time]:
@@ -127,16 +255,23 @@ class Timekeeper:
         return [Time.at(self._configuration.stamp(step)) for step in steps if step % every == 0]
 
     def _grants(self) -> list[Grant]:
-        if not self.begun:
-            return []
-        limit = min(self.step + self._window, self._configuration.steps)
+        limit = min(self.step + self._window, self.end)
         if self._record:
-            limit = min(limit, max(self._saved, 0) + self._ahead)
+            limit = min(limit, max(self.saved, 0) + self._ahead)
+        if self._pause_at is not None:
+            limit = min(limit, self._pause_at)
         if limit <= self._granted:
             return []
         self._granted = limit
-        return [self._grant(limit)]
+        return [self.grant]
 
     def _grant(self, step: int) -> Grant:
-        configuration = self._configuration
-        return Grant(self.run_id, step, configuration.steps, configuration.dt, self.epoch)
+        return Grant(
+            self.run_id,
+            step,
+            self.end,
+            self._configuration.dt,
+            self.epoch,
+            self._terms,
+            self._perturbation,
+        )

@@ -11,12 +11,8 @@ NAMESPACE = "/flock"
 CLOCK_TOPIC = "/clock"
 GRANT_TOPIC = f"{NAMESPACE}/clock/grant"
 PROGRESS_TOPIC = f"{NAMESPACE}/progress"
+CHECKPOINT_TOPIC = f"{NAMESPACE}/checkpoint"
 RECORDER = "recorder"
-
-GRANT_DEPTH = 1000
-
-RARE_DEPTH = 10
-"""Of what a bird hears seldom: room for others on the same topics, whose messages it ignores."""
 
 STAGE_DEPTH = 128
 """Stages that a bird keeps for a listener that is slow; neighbours need two, a recorder more."""
@@ -73,4 +69,4 @@ def depth(topic: str, configuration: FlockConfiguration) -> int:
     kind = topic.rpartition("/")[2]
     if kind in ("state", "clock"):
         return 2 * rows_ahead(configuration)
-    return {"stage": STAGE_DEPTH, "grant": GRANT_DEPTH}.get(kind, 1)
+    return STAGE_DEPTH if kind == "stage" else 1

@@ -4,19 +4,28 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from rclpy.context import Context
+from rclpy.publisher import Publisher
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
+from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.errors import FlockError
+from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
-from flock_sim.nodes.process import Process, Stop, executing, run_node
+from flock_sim.nodes.process import Process, executing, new_life, run_node
+
+FAREWELL = 1.0
+"""Longest wait, in s, for whoever else listens; the flock itself needs released birds no more."""
+
+Heard = TypeVar("Heard", bound=messages.Message)
 
 
 class BirdNode(DrainedNode):
@@ -39,7 +48,7 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = BirdProtocol(bird, configuration, run_id)
+        self.protocol = BirdProtocol(bird, configuration, run_id, new_life())
         outlets = {
             Channel.WING: (BirdWing, topics.wing_topic(bird)),
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
@@ -53,15 +62,17 @@ class BirdNode(DrainedNode):
         self._publish: dict[Channel, Callable[[bytes], None]] = {
             channel: outlet.publish for channel, outlet in self._outlets.items()
         }
-        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC, topics.RARE_DEPTH)
+        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
+        self._checkpoints = self.subscribe_drained(Checkpoint, topics.CHECKPOINT_TOPIC)
         self._wings = {
-            other: self.subscribe_drained(BirdWing, topics.wing_topic(other), topics.RARE_DEPTH)
+            other: self.subscribe_drained(BirdWing, topics.wing_topic(other))
             for other in self.protocol.neighbours
         }
         self._stages = {
-            other: self.subscribe_drained(BirdStage, topics.stage_topic(other), topics.STAGE_DEPTH)
+            other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
+        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for)
 
     def drain(self) -> bool:
         """Take the stages that the protocol waits for; return whether any came."""
@@ -75,17 +86,21 @@ class BirdNode(DrainedNode):
         return moved
 
     def drain_rare(self) -> bool:
-        """Take leave and, before the flight, wings; return whether any came."""
+        """Take leave and, before the flight, checkpoints and wings; return whether any came."""
+        protocol = self.protocol
         moved = False
         while (data := self._grants.take()) is not None:
             moved = True
-            self._send(self.protocol.receive_grant(messages.Grant.decode(data)))
-        if self.protocol.in_flight:
-            return moved
-        for inlet in self._wings.values():
-            while (data := inlet.take()) is not None:
+            self._hear(messages.Grant, protocol.receive_grant, data)
+        if not protocol.in_flight:
+            while (data := self._checkpoints.take()) is not None:
                 moved = True
-                self._send(self.protocol.receive_wing(messages.Wing.decode(data)))
+                self._hear(messages.Checkpoint, protocol.receive_checkpoint, data)
+            for inlet in self._wings.values():
+                while (data := inlet.take()) is not None:
+                    moved = True
+                    self._hear(messages.Wing, protocol.receive_wing, data)
+        self._complaints.tell()
         return moved
 
     def report(self) -> None:
@@ -102,10 +117,24 @@ class BirdNode(DrainedNode):
         """What the bird needs to go on, in words."""
         return f"{self.get_name()} waits for {self.protocol.waiting_for}"
 
-    def farewell(self, stop: Stop) -> None:
-        """Wait until everybody who listens has all that was said, or `stop`."""
-        for outlet in self._outlets.values():
-            wait_until_heard(outlet, stop)
+    def look_around(self) -> None:
+        """Tell of what is amiss."""
+        self._complaints.tell()
+
+    @property
+    def outlets(self) -> Iterable[Publisher]:
+        """All that it says something on."""
+        return self._outlets.values()
+
+    def _hear(
+        self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
+    ) -> None:
+        try:
+            message = kind.decode(data)
+        except ValueError:
+            self.protocol.ignore(MALFORMED)
+        else:
+            self._send(receive(message))
 
     def _send(self, outgoing: list[Outgoing]) -> None:
         for channel, data in outgoing:
@@ -139,8 +168,7 @@ def work(process: Process) -> None:
         for bird in birds:
             executor.add_node(bird)
         keep_flying(birds, executor, process.stop, process.patience())
-        for bird in birds:
-            bird.farewell(process.stop)
+        wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
 
 
 _main = run_node(

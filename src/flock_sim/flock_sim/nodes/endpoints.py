@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from rclpy.duration import Duration
@@ -29,19 +29,26 @@ def latched(depth: int) -> QoSProfile:
     )
 
 
-FAREWELL = 10.0
-"""Longest wait, in s, for listeners to take what was last said to them."""
+ALL = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_ALL,
+)
+"""How Flock's nodes listen: to everything. A queue of the last few would lose what a neighbour said
+when somebody else, another flock say, talks much on the same topic; this one makes them wait."""
 
 
-def wait_until_heard(outlet: Publisher, stop: Stop | bool) -> None:
-    """Wait until all who listen to `outlet` have its messages; FAREWELL at most, or until `stop`.
+def wait_until_heard(outlets: Iterable[Publisher], stop: Stop | bool, limit: float) -> None:
+    """Wait until all who listen to `outlets` have their messages, for `limit` s or until `stop`.
 
-    Whoever has not taken them by then, a suspended `ros2 topic echo` say, is left behind.
+    Whoever has not taken them by then, a suspended `ros2 topic echo` or somebody who was killed, is
+    left behind.
     """
-    deadline = time.monotonic() + FAREWELL
-    while not stop and time.monotonic() < deadline:
-        if outlet.wait_for_all_acked(Duration(seconds=0.1)):
-            return
+    deadline = time.monotonic() + limit
+    for outlet in outlets:
+        while not stop and time.monotonic() < deadline:
+            if outlet.wait_for_all_acked(Duration(seconds=0.1)):
+                break
 
 
 class DrainedNode(Node):
@@ -59,11 +66,9 @@ class DrainedNode(Node):
         """The subscriptions that an executor is to serve."""
         return (s for s in super().subscriptions if s not in self._drained)
 
-    def subscribe_drained(self, message_type: Any, topic: str, depth: int) -> Inlet:
+    def subscribe_drained(self, message_type: Any, topic: str) -> Inlet:
         """Subscribe to `topic`; the messages wait in the returned inlet."""
-        subscription = self.create_subscription(
-            message_type, topic, lambda _: None, latched(depth), raw=True
-        )
+        subscription = self.create_subscription(message_type, topic, lambda _: None, ALL, raw=True)
         self._drained += (subscription,)
         return Inlet(subscription)
 

@@ -24,6 +24,7 @@ OPERATION_MEANING = {
     "record_stages": "whether Runge-Kutta stages are recorded too",
     "output": "directory of the bag",
     "force": "whether a bag that is there is replaced",
+    "resume": "whether a bag that is there is gone on with",
     "executor": "which executor of rclpy serves the node",
     "timeout": "how long to wait without news, in s",
 }

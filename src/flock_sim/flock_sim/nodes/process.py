@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import operator
 import os
+import secrets
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,6 +42,7 @@ OPERATION: dict[str, Any] = {
     "record_stages": False,
     "output": "",
     "force": False,
+    "resume": False,
     "executor": "events",
     "timeout": 600.0,
 }
@@ -89,6 +91,11 @@ def make_executor(kind: str, context: Context) -> Executor:
         else:
             return EventsExecutor(context=context)
     return SingleThreadedExecutor(context=context)
+
+
+def new_life() -> int:
+    """Return a number that tells a node from those that were it before, and died."""
+    return secrets.randbits(64)
 
 
 def ros_context(arguments: Sequence[str]) -> Context:

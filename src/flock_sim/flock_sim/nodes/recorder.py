@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a ROS 2 node: puts every recorded state on disk, and says how far it has come."""
+"""The recorder as a ROS 2 node: puts every recorded state on disk, and says how far it has come.
+
+What is on disk is the checkpoint: at the beginning of an epoch it tells everybody where that is.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +16,31 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Progress
 from flock_sim.bag.output import claim_output
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
+from flock_sim.core.stage_inbox import FOREIGN, MALFORMED, NEVER, STALE
+from flock_sim.core.terms import agree
 from flock_sim.errors import FlockError
-from flock_sim.nodes.endpoints import DrainedNode, Inlet, latched, wait_until_heard
+from flock_sim.nodes.complaints import Complaints
+from flock_sim.nodes.diagnostics import Diagnostics, ignored
+from flock_sim.nodes.endpoints import DrainedNode, latched
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
-from flock_sim.nodes.process import Process, executing, run_node
+from flock_sim.nodes.process import Process, executing, new_life, run_node
 from flock_sim.recording import Recording, recording
 from flock_sim.stop import Stop
 
 WAIT = 0.004
 """How long the recorder rests when nothing came, in s: many messages are cheaper at a time."""
+
+REPORT_EVERY = 1.0
+"""How often, in s, a recorder that waits says how far it has come."""
+
+GOODBYE = 10.0
+"""How long, in s, a recorder that has everything stays for a clock that does not know it yet."""
 
 LINGER = 0.5
 """How long, in s, a row that is complete may stay off the disk when no others follow."""
@@ -57,20 +70,27 @@ class RecorderNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.ledger = Ledger(configuration, record_stages)
+        self.ledger = Ledger(configuration, record_stages, run.saved)
+        self.released = False
+        """Whether the clock has said that the run is over."""
         self._configuration = configuration
         self._run = run
         self._run_id = run_id
-        self._epoch = 0
-        self._joined = False
+        self._epoch = NEVER
+        self._leave: tuple[int, int] = (NEVER, 0)  # epoch and step of the last grant
+        self._life = new_life()
+        self._joined = False  # has told everybody where the epoch begins
         self._unsafe_since: float | None = None
         self._rows = 0
         self._rows_at_once = max(
             1, topics.steps_ahead(configuration, record_stages) // configuration.record_every // 4
         )
         self._progress = self.create_publisher(Progress, topics.PROGRESS_TOPIC, latched(1))
-        self._grants = self._inlet(Grant, topics.GRANT_TOPIC, configuration)
-        self._times = self._inlet(Clock, topics.CLOCK_TOPIC, configuration)
+        self._checkpoint = self.create_publisher(Checkpoint, topics.CHECKPOINT_TOPIC, latched(1))
+        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
+        self._times = self.subscribe_drained(Clock, topics.CLOCK_TOPIC)
+        self._complaints = Complaints(self.get_name(), self.ledger.ignored_for)
+        self._diagnostics = Diagnostics(self)
         birds = range(1, configuration.birds + 1)
         sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
             (BirdWing, topics.wing_topic, self._hear_wing),
@@ -79,7 +99,7 @@ class RecorderNode(DrainedNode):
         if record_stages:
             sources.append((BirdStage, topics.stage_topic, self.ledger.add_stage))
         self._sources = [
-            (self._inlet(kind, topic(bird), configuration), add, bird)
+            (self.subscribe_drained(kind, topic(bird)), add, bird)
             for kind, topic, add in sources
             for bird in birds
         ]
@@ -96,61 +116,104 @@ class RecorderNode(DrainedNode):
         for inlet, add, bird in self._sources:
             while (data := inlet.take()) is not None:
                 moved = True
-                self._write(add(bird, data))
+                self._add(add, bird, data)
         while (data := self._times.take()) is not None:
             moved = True
-            self._write(self.ledger.add_time(data))
+            self._add(self.ledger.add_time, data)
         return moved
+
+    @property
+    def finished(self) -> bool:
+        """Whether all is on disk, and the clock knows."""
+        return self.ledger.complete and self.released
+
+    def look_around(self) -> None:
+        """Tell of what is amiss, and how far the recorder has come."""
+        self._complaints.tell()
+        self._diagnostics.tell(self._status)
+
+    def report(self) -> None:
+        """Say again how far it has come: a clock that was started again does not know."""
+        if self._joined:
+            self._tell(self._run.saved)
 
     def keep_safe(self) -> None:
         """Put on disk what has waited long enough, or is enough, and say so."""
-        if self._unsafe_since is None:
-            return
-        waited = time.monotonic() - self._unsafe_since
-        if self.ledger.complete or self._rows >= self._rows_at_once or waited > LINGER:
-            self._run.bag.flush()
-            self._unsafe_since, self._rows = None, 0
-            self._tell(self.ledger.saved)
-
-    def farewell(self, stop: Stop) -> None:
-        """Wait until the clock has heard that all is on disk, or `stop`."""
-        wait_until_heard(self._progress, stop)
+        if self._unsafe_since is not None:
+            waited = time.monotonic() - self._unsafe_since
+            if self.ledger.complete or self._rows >= self._rows_at_once or waited > LINGER:
+                self._save()
+                self._tell(self._run.saved)
+        if self.ledger.complete:
+            self._run.bag.close()
 
     @property
     def waiting_for(self) -> str:
         """What the recorder needs to go on, in words."""
-        if not self._epoch:
+        if self._epoch == NEVER:
             return "the clock's first grant"
         if not self._joined:
             return ", ".join(self._unfound())
+        if self.ledger.complete:
+            return "the clock's word that the run is over"
         names = [topics.bird_name(bird) for bird in self.ledger.waiting_for]
         return ", ".join(names) or "the clock"
 
-    def _inlet(self, kind: type, topic: str, configuration: FlockConfiguration) -> Inlet:
-        return self.subscribe_drained(kind, topic, topics.depth(topic, configuration))
+    def _save(self) -> None:
+        self._run.flush()
+        self._unsafe_since, self._rows = None, 0
 
     def _hear_grant(self, data: bytes) -> None:
-        grant = messages.Grant.decode(data)
-        if self._run_id not in (0, grant.run_id):
+        try:
+            grant = messages.Grant.decode(data)
+            if self._run_id not in (0, grant.run_id) or grant.epoch < self._epoch:
+                foreign = self._run_id not in (0, grant.run_id)
+                self.ledger.ignored_for[FOREIGN if foreign else STALE] += 1
+                return
+            if self._epoch == NEVER:
+                agree("the recorder", self._configuration, grant.terms)
+        except ValueError:
+            self.ledger.ignored_for[MALFORMED] += 1
             return
-        if not self._epoch:
-            self._run_id, self._epoch = grant.run_id, grant.epoch
-            flown = self._configuration
-            if grant.dt != flown.dt or grant.end != flown.steps:
-                raise FlockError(
-                    f"the clock flies {grant.end} steps of dt = {grant.dt:g} and the recorder is "
-                    f"to record {flown.steps} of {flown.dt:g}: give both the same configuration"
-                )
-        self._run.write_grant(data)
+        if grant.epoch > self._epoch:
+            self._begin(grant)
+        self.released |= grant.step > grant.end
+        self.ledger.end_at(grant.end)
+        if (grant.epoch, grant.step) > self._leave and not self.ledger.complete:
+            self._leave = (grant.epoch, grant.step)
+            self._run.write_grant(data)
+
+    def _begin(self, grant: messages.Grant) -> None:
+        """Begin an epoch: what is complete goes on disk, what is not comes again."""
+        self._run_id, self._epoch = grant.run_id, grant.epoch
+        if not self.ledger.complete:
+            self._save()
+        self.ledger.begin(self._run_id, self._epoch)
+        self._joined = False
+        self._join()
 
     def _join(self) -> None:
-        """Say that the flight may begin, once every bird's topics have been found.
+        """Say where the epoch begins, once every bird's topics have been found.
 
         A bird that ends would otherwise take along what it had latched for us.
         """
-        if self._epoch and not self._unfound():
+        if self._epoch != NEVER and (self.ledger.complete or not self._unfound()):
             self._joined = True
-            self._tell(self.ledger.saved)
+            self._checkpoint.publish(self._where().encode())
+            self._tell(self._run.saved)
+
+    def _where(self) -> messages.Checkpoint:
+        """Return the checkpoint of this epoch: the last row on disk."""
+        states = [messages.State.decode(data) for data in self._run.checkpoint]
+        if not states:
+            return messages.Checkpoint.of_start(self._run_id, self._epoch)
+        return messages.Checkpoint(
+            self._run_id,
+            self._run.saved,
+            self._epoch,
+            np.concatenate([state.position for state in states]),
+            np.concatenate([state.speed for state in states]),
+        )
 
     def _unfound(self) -> list[str]:
         """Return who has a topic that has not been found yet."""
@@ -161,6 +224,7 @@ class RecorderNode(DrainedNode):
     def _hear_wing(self, bird: int, data: bytes) -> list[Row]:
         wing = messages.Wing.decode(data)
         if wing.run_id != self._run_id:
+            self.ledger.ignored_for[FOREIGN] += 1
             return []
         if not np.array_equal(wing.span_ratio, self._configuration.span_ratio[bird - 1]):
             raise FlockError(
@@ -170,6 +234,12 @@ class RecorderNode(DrainedNode):
             )
         return self.ledger.add_wing(bird, data)
 
+    def _add(self, add: Callable[..., list[Row]], *what: object) -> None:
+        try:
+            self._write(add(*what))
+        except ValueError:
+            self.ledger.ignored_for[MALFORMED] += 1
+
     def _write(self, rows: list[Row]) -> None:
         for row in rows:
             self._run.write_row(row)
@@ -178,22 +248,41 @@ class RecorderNode(DrainedNode):
                 self._unsafe_since = time.monotonic()
 
     def _tell(self, step: int) -> None:
-        progress = messages.Progress(self._run_id, step, self._epoch, topics.RECORDER)
+        progress = messages.Progress(self._run_id, step, self._epoch, topics.RECORDER, self._life)
         self._progress.publish(progress.encode())
+
+    def _status(self) -> tuple[bool, str, Mapping[str, object]]:
+        saved = self._run.saved
+        words = f"step {saved} of {self._configuration.steps} is on disk"
+        return (
+            self._joined,
+            words if self._joined else f"waiting for {self.waiting_for}",
+            {"saved": saved, "epoch": self._epoch, **ignored(self.ledger.ignored_for)},
+        )
 
 
 def record(node: RecorderNode, executor: Executor, stop: Stop, patience: Patience) -> None:
-    """Record until every row is on disk. Returns early on `stop`.
+    """Record until every row is on disk and the clock knows, or is gone. Returns early on `stop`.
 
     Raises RunFailed when `patience` runs out, or the bag can't be written.
     """
-    while not stop and not node.ledger.complete:
+    reports = 0
+    while not stop and not node.finished:
         if node.drain():
             patience.renew()
+            reports = 0
         else:
             executor.spin_once(timeout_sec=WAIT)
-            patience.wait(lambda: f"the recorder waits for {node.waiting_for}")
+            if node.ledger.complete:
+                if patience.silence > GOODBYE:
+                    return
+            else:
+                patience.wait(lambda: f"the recorder waits for {node.waiting_for}")
         node.keep_safe()
+        node.look_around()
+        if patience.silence > REPORT_EVERY * (reports + 1):
+            reports += 1
+            node.report()
 
 
 def work(process: Process) -> None:
@@ -204,10 +293,11 @@ def work(process: Process) -> None:
     if not operation["output"]:
         raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
     output = Path(operation["output"])
-    if not process.supervised:  # `fly` has claimed it before anything started
+    resume = operation["resume"] and output.is_dir()
+    if not resume:
         claim_output(output, operation["force"])
     with (
-        recording(output, configuration, grants=True, stages=stages) as run,
+        recording(output, configuration, grants=True, stages=stages, resume=resume) as run,
         executing(operation["executor"], process.context) as executor,
     ):
         services = not process.supervised
@@ -220,19 +310,21 @@ def work(process: Process) -> None:
             services=services,
         )
         if services:
-            declare(node, configuration, operation, ("output", "force", "record_stages", *OF_ALL))
+            own = ("output", "force", "resume", "record_stages", *OF_ALL)
+            declare(node, configuration, operation, own)
         executor.add_node(node)
         record(node, executor, process.stop, process.patience())
-        node.farewell(process.stop)
 
 
 _main = run_node(
     "recorder",
     "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
     "with it.\n\n"
-    "parameters: output (a directory), force (replace it), record_stages, run_id, timeout (s\n"
-    "without news), executor (events|single), and all keys of the configuration file.",
-    "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml",
+    "parameters: output (a directory), force (replace what is there) or resume (go on with the\n"
+    "bag that is there, or begin one), record_stages, run_id, timeout (s without news), executor\n"
+    "(events|single), and all keys of the configuration file.",
+    "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml\n"
+    "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml",
     work,
 )
 

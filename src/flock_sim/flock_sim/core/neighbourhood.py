@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bird knows of its neighbours' wings, and the geometry that follows from it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flock_sim.core import formation
+from flock_sim.core.aerodynamics import even_part
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.messages import Wing
+from flock_sim.core.stage_inbox import FOREIGN, IMPOSSIBLE, STRANGE
+
+EARLY = 16
+"""Wings of runs not known to be ours that are kept, for each neighbour."""
+
+
+class Neighbourhood:
+    """The neighbours of one bird. `birds` are their numbers, in ascending order.
+
+    `geometry` has shape (neighbours, 3, members): lateral distance, half-span and the even part of
+    the interaction integral; it is filled once every wing is known.
+    """
+
+    def __init__(self, bird: int, configuration: FlockConfiguration) -> None:
+        """Know the wing of `bird` itself only."""
+        self.birds = formation.neighbours(bird, configuration.birds, configuration.coupling)
+        self.geometry: FloatArray = np.empty((len(self.birds), 3, configuration.members))
+        self._bird = bird
+        self._members = configuration.members
+        self._wings = {bird: configuration.span_ratio[bird - 1]}
+        self._early: dict[tuple[int, int], Wing] = {}
+
+    @property
+    def known(self) -> bool:
+        """Whether every wing is known."""
+        return len(self._wings) > len(self.birds)
+
+    @property
+    def unknown(self) -> list[int]:
+        """The neighbours whose wings are not."""
+        return [other for other in self.birds if other not in self._wings]
+
+    def hear(self, wing: Wing, run_id: int) -> str:
+        """Learn a neighbour's wing; return why it is ignored, or nothing. `run_id` 0: not known.
+
+        Wings that come before it is known whose they must be are kept for `recall`.
+        """
+        ratio = wing.span_ratio
+        if wing.bird not in self.birds:
+            return STRANGE
+        if len(ratio) != self._members or not np.all(np.isfinite(ratio) & (ratio > 0.0)):
+            return IMPOSSIBLE
+        if run_id == 0 and len(self._early) < EARLY * len(self.birds):
+            self._early[wing.run_id, wing.bird] = wing
+            return ""
+        if wing.run_id != run_id:
+            return FOREIGN
+        if wing.bird not in self._wings:
+            self._wings[wing.bird] = ratio
+            if self.known:
+                self._learn_geometry()
+        return ""
+
+    def recall(self, run_id: int) -> None:
+        """Learn, now that the run is known, what came before."""
+        early, self._early = self._early, {}
+        for wing in early.values():
+            self.hear(wing, run_id)
+
+    def _learn_geometry(self) -> None:
+        for k, other in enumerate(self.birds):
+            low, high = sorted((self._bird, other))
+            row = np.stack([self._wings[between] for between in range(low, high + 1)])
+            self.geometry[k, 0] = formation.lateral_distance(row)
+            self.geometry[k, 1] = formation.VORTEX_FRACTION * self._wings[other]
+            for m in range(self._members):
+                self.geometry[k, 2, m] = even_part(
+                    self.geometry[k, 0, m],
+                    formation.VORTEX_FRACTION * row[0, m],
+                    formation.VORTEX_FRACTION * row[-1, m],
+                )

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes of a flight must agree on: the whole configuration, as text in every grant."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.errors import FlockError
+
+LONGEST_VALUE = 40
+"""Characters of a value that are shown of it."""
+
+
+def terms(configuration: FlockConfiguration) -> str:
+    """Return what is flown, as JSON."""
+    return json.dumps(configuration.parameters(), separators=(",", ":"))
+
+
+def run_id_of(configuration: FlockConfiguration) -> int:
+    """Return the run id of a flight that was given none: 1 .. 2**63 - 1, from what is flown.
+
+    A clock that is started again so finds its flock again.
+    """
+    digest = hashlib.blake2b(terms(configuration).encode(), digest_size=8).digest()
+    return 1 + int.from_bytes(digest, "little") % (2**63 - 1)
+
+
+def agree(who: str, configuration: FlockConfiguration, said: str) -> None:
+    """Raise FlockError, naming what differs, where the clock's terms `said` are not those of `who`.
+
+    Raises ValueError where `said` are no terms.
+    """
+    if said == terms(configuration):
+        return
+    theirs = json.loads(said)
+    if not isinstance(theirs, dict):
+        raise ValueError("terms: not an object")
+    ours = json.loads(terms(configuration))
+    different = [
+        f"{key} = {_shown(ours.get(key))} and not {_shown(theirs.get(key))}"
+        for key in {**ours, **theirs}
+        if ours.get(key) != theirs.get(key)
+    ]
+    raise FlockError(
+        f"{who} is to fly {', '.join(different)} as the clock does: "
+        "give both the same configuration"
+    )
+
+
+def _shown(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "..."

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node says of messages that it ignores: each reason once."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from flock_sim.command_line import note
+from flock_sim.core.stage_inbox import STALE
+
+
+class Complaints:
+    """Looks at the counts of ignored messages of one node, and warns of each reason once."""
+
+    def __init__(self, who: str, ignored_for: Counter[str]) -> None:
+        """Speak for `who`. That messages go stale is how a flock recovers, and not told."""
+        self._who = who
+        self._ignored_for = ignored_for
+        self._told = {STALE}
+
+    def tell(self) -> None:
+        """Warn of reasons that are new; costs next to nothing where there are none."""
+        if self._ignored_for.keys() <= self._told:
+            return
+        for reason in self._ignored_for.keys() - self._told:
+            self._told.add(reason)
+            note(f"warning: {self._who} ignores messages {reason}")

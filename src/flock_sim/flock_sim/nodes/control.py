@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The services by which a flight is operated: pause, resume, step, stop and perturb."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from flock_interfaces.srv import Perturb, Step
+from flock_sim.core.timekeeper import Message, Timekeeper
+from flock_sim.errors import FlockError
+
+Response = TypeVar("Response", Trigger.Response, Step.Response, Perturb.Response)
+
+
+class Control:
+    """Serves the clock's services `~/pause ~/resume ~/step ~/stop ~/perturb`."""
+
+    def __init__(
+        self, node: Node, keeper: Timekeeper, send: Callable[[Iterable[Message]], None]
+    ) -> None:
+        """Offer the services on `node`; what the keeper then says goes out by `send`."""
+        self._keeper = keeper
+        self._send = send
+        for name, serve in (
+            ("pause", self._pause),
+            ("resume", self._resume),
+            ("stop", self._stop),
+        ):
+            node.create_service(Trigger, f"~/{name}", serve)
+        node.create_service(Step, "~/step", self._step)
+        node.create_service(Perturb, "~/perturb", self._perturb)
+
+    def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._keeper.pause()
+        return _said(response, f"pausing at step {self._keeper.pauses_at}")
+
+    def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._send(self._keeper.resume())
+        return _said(response, "flying on")
+
+    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._send(self._keeper.stop())
+        return _said(response, f"ending the flight at step {self._keeper.end}")
+
+    def _step(self, request: Step.Request, response: Step.Response) -> Step.Response:
+        if request.steps < 1:
+            return _said(response, "steps = 0: must be 1 or more", success=False)
+        self._send(self._keeper.take_steps(request.steps))
+        return _said(response, f"pausing at step {self._keeper.pauses_at}")
+
+    def _perturb(self, request: Perturb.Request, response: Perturb.Response) -> Perturb.Response:
+        try:
+            step, outgoing = self._keeper.perturb(
+                request.bird, request.member, request.step, request.position, request.speed
+            )
+        except FlockError as error:
+            return _said(response, str(error), success=False)
+        self._send(outgoing)
+        response.step = step
+        return _said(response, f"bird {request.bird} is pushed at step {step}")
+
+
+def _said(response: Response, message: str, *, success: bool = True) -> Response:
+    response.success, response.message = success, message
+    return response

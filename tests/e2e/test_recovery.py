@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whoever dies comes back, and the bag at the end is the same to the bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from terminal import Job, Terminal
+from torture import torture
+
+BIRD = "flock_sim.nodes.bird"
+RECORDER = "flock_sim.nodes.recorder"
+
+STEPS = 12000
+FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10, "--span-ratio", "2=0.97,1.03")
+
+
+def last_step(bag: Path) -> int:
+    """The last step that is on disk; -1 for none."""
+    try:
+        return Run(bag).at().step
+    except FlockError:
+        return -1
+
+
+def in_flight(terminal: Terminal, *how: object) -> Job:
+    """Start a flight, and wait until some of it is on disk."""
+    job = terminal.start("fly", *FLOCK, *how, "--output", "bag", "--json")
+    job.until(lambda: last_step(terminal.directory / "bag") > 0)
+    return job
+
+
+def kill(*pids: int) -> None:
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+
+
+def assert_as_undisturbed(terminal: Terminal) -> None:
+    """The bag is complete, and equals the reference's: each state once, every bit."""
+    terminal.well("reference", *FLOCK, "--output", "reference")
+    done = terminal.run("compare", "bag", "reference", "--json")
+    assert done.status == 0, done.stdout + done.stderr
+    assert done.json["messages"] == 3 * (STEPS // 10 + 1)
+    with Run(terminal.directory / "bag") as run:
+        assert run.missing is None
+
+
+@pytest.mark.parametrize("who", ["a bird", "the recorder", "birds and recorder at once"])
+def test_who_is_killed_is_started_again_and_no_bit_changes(terminal: Terminal, who: str) -> None:
+    job = in_flight(terminal, "--processes", 2)
+    if who != "the recorder":
+        kill(job.workers(BIRD)[0])
+    if who != "a bird":
+        kill(*job.workers(RECORDER))
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    assert "was killed by SIGKILL: started again" in done.stderr
+    assert done.json["restarts"] == (2 if "once" in who else 1)
+    assert done.json["rewinds"] >= 1
+    assert_as_undisturbed(terminal)
+
+
+def test_a_bird_that_dies_again_and_again_ends_the_flight(terminal: Terminal) -> None:
+    job = in_flight(terminal, "--processes", 3)
+    (poor, *_) = job.workers(BIRD)
+    words = Path(f"/proc/{poor}/cmdline").read_bytes()
+    deadline = time.monotonic() + 60.0
+    while job.running:
+        assert time.monotonic() < deadline, job.stderr
+        for pid in job.workers(BIRD):
+            if Path(f"/proc/{pid}/cmdline").read_bytes() == words:
+                kill(pid)
+        time.sleep(0.01)  # between two looks for a process, which nothing announces
+    done = job.wait()
+    assert done.status == 1
+    assert "was killed by SIGKILL, 6 times without any progress in between" in done.error
+    with Run(terminal.directory / "bag") as run:
+        assert run.bag.missing is None
+
+
+@pytest.mark.parametrize("moment", ["at once", "starting", "flying", "ending"])
+def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) -> None:
+    bag = terminal.directory / "bag"
+    job = terminal.start("fly", *FLOCK, "--processes", 2, "--output", "bag")
+    if moment == "at once":
+        job.until_said("recording to")
+    elif moment == "starting":
+        job.until(lambda: len(job.workers(BIRD)) == 2)
+        job.workers(BIRD)
+    else:
+        job.until(lambda: last_step(bag) >= (10 if moment == "flying" else STEPS - 1000))
+    os.killpg(job.process.pid, signal.SIGKILL)
+    job.wait()
+    on_disk = last_step(bag)
+    done = terminal.run("fly", "--resume", "bag", "--json")
+    assert done.status == 0, done.stderr
+    assert done.json["steps"] == STEPS
+    assert "going on with bag" in done.stderr or on_disk == STEPS
+    assert_as_undisturbed(terminal)
+    clean(terminal)
+
+
+def clean(terminal: Terminal) -> None:
+    """Remove what nobody is left to remove: the parameters of a `fly` that was killed."""
+    for file in terminal.temporary.glob("flock-*/*"):
+        file.unlink()
+    for directory in terminal.temporary.glob("flock-*"):
+        directory.rmdir()
+
+
+def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(terminal: Terminal) -> None:
+    job = in_flight(terminal)
+    job.interrupt()
+    assert job.wait().status == 130
+    before = last_step(terminal.directory / "bag")
+    job = terminal.start("fly", "--resume", "bag", "--processes", 3)
+    job.until(lambda: last_step(terminal.directory / "bag") > before)
+    job.interrupt()
+    assert job.wait().status == 130
+    terminal.well("fly", "--resume", "bag")
+    assert_as_undisturbed(terminal)
+    again = terminal.well("fly", "--resume", "bag", "--json")
+    assert "bag is complete: nothing to go on with" in again.stderr
+    assert again.json["steps"] == STEPS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--resume", "nowhere"], ["nowhere", "nothing to go on with", "--output nowhere"]),
+        (["--resume", "empty"], ["empty", "nothing to go on with"]),
+        (["--resume", "reference"], ["reference", "not recorded by fly"]),
+        (["--resume", "reference", "--birds", 4], ["--birds", "--resume", "exclude"]),
+        (["--resume", "reference", "--output", "x"], ["--output", "--resume", "exclude"]),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_resumed_is_refused_in_one_line(
+    terminal: Terminal, arguments: list[object], named: list[str]
+) -> None:
+    (terminal.directory / "empty").mkdir()
+    terminal.well("reference", "--birds", 2, "--t-max", 20, "--output", "reference")
+    done = terminal.run("fly", *arguments)
+    assert done.status == 2
+    assert [word for word in named if word not in done.error] == [], done.error
+    assert done.stderr == done.error + "\n"
+
+
+def test_a_short_torture(terminal: Terminal) -> None:
+    said: list[str] = []
+    toll = torture(terminal, seed=11, kills=8, per_flight=4, say=said.append)
+    assert toll.killed == 8
+    assert toll.flights == len(said) == 2
+    assert toll.rewinds >= 1
+    clean(terminal)
