@@ -12,6 +12,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_sim"]),
         ("share/flock_sim", ["package.xml"]),
+        (
+            "share/flock_sim/launch",
+            ["launch/flock.launch.py", "launch/composed.launch.py"],
+        ),
     ],
     entry_points={
         "console_scripts": [
