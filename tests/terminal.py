@@ -171,11 +171,16 @@ class Terminal:
 
     def start(self, tool: str, *arguments: object, **options: Any) -> Job:
         """Start a tool, as a user does; `options` go to Popen."""
+        module = [sys.executable, "-P", "-m", TOOLS[tool]]
+        return self.start_command(tool, [*module, *map(str, arguments)], **options)
+
+    def start_command(self, name: str, command: list[str], **options: Any) -> Job:
+        """Start what is none of our tools; `name` is that of its log."""
         self._count += 1
-        log = self._logs / f"{self._count}-{tool}"
+        log = self._logs / f"{self._count}-{name}"
         with log.with_suffix(".out").open("wb") as out, log.with_suffix(".err").open("wb") as err:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", TOOLS[tool], *map(str, arguments)],
+                command,
                 **{
                     "stdin": subprocess.DEVNULL,
                     "stdout": out,
