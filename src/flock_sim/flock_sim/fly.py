@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import signal
 import sys
 import tempfile
@@ -36,6 +35,7 @@ from flock_sim.progress import progress_bar
 from flock_sim.recording import lay_down
 from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.resume import Resumable, resumable
+from flock_sim.shares import shares
 
 PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
@@ -183,7 +183,7 @@ def _fly(plan: Plan) -> dict[str, Any]:
                     "record_stages": plan.record_stages,
                 }
                 crew.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
-            for birds in _shares(configuration.birds, plan.processes):
+            for birds in shares(configuration.birds, plan.processes):
                 crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
             return _keep_time(plan, run_id, crew)
 
@@ -231,12 +231,6 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
         "rewinds": keeper.rewinds.count,
         "restarts": crew.deaths,
     }
-
-
-def _shares(birds: int, processes: int) -> list[list[int]]:
-    """Return the birds of each process: neighbours together, as even as can be."""
-    bounds = [k * birds // processes for k in range(processes + 1)]
-    return [list(range(low + 1, high + 1)) for low, high in itertools.pairwise(bounds)]
 
 
 def _birds(birds: list[int]) -> str:
