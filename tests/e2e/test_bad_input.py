@@ -86,6 +86,7 @@ OPERATION = [
     (["--timeout", "0"], ["--timeout 0", "above 0"]),
     (["--timeout", "nan"], ["--timeout nan", "finite"]),
     (["--no-record", "--record-stages"], ["--record-stages", "--no-record", "leave one out"]),
+    (["--network"], ["ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST", "--network", "leave one out"]),
 ]
 
 FILES = [

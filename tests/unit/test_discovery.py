@@ -1,19 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+from xml.etree import ElementTree
 
 import pytest
 
-from flock_sim.discovery import own_domain, prepare_discovery
+from flock_sim.discovery import PROFILES, own_domain, prepare_discovery
 from flock_sim.errors import FlockError
 
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
-def test_others_are_looked_for_on_this_machine_unless_asked_otherwise(monkeypatch):
-    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    """An environment that says nothing, and is as it was before once the test has ended."""
+    for name in ("ROS_DOMAIN_ID", RANGE, *PROFILES):
+        monkeypatch.setenv(name, "")
+
+
+@pytest.mark.parametrize(
+    ("network", "said", "reach"),
+    [
+        (False, "", "LOCALHOST"),
+        (True, "", "SUBNET"),
+        (False, "SUBNET", "SUBNET"),
+        (True, "SUBNET", "SUBNET"),
+        (False, "OFF", "OFF"),
+        (True, "SYSTEM_DEFAULT", "SYSTEM_DEFAULT"),
+    ],
+)
+def test_others_are_looked_for_on_this_machine_unless_asked_otherwise(
+    monkeypatch, network, said, reach
+):
+    monkeypatch.setenv(RANGE, said)
+    prepare_discovery(network)
+    assert os.environ[RANGE] == reach
+
+
+@pytest.mark.parametrize("said", ["LOCALHOST", "OFF"])
+def test_an_environment_that_is_against_the_network_is_not_overruled(monkeypatch, said):
+    monkeypatch.setenv(RANGE, said)
+    with pytest.raises(FlockError, match=f"{RANGE} = {said} and --network exclude each other"):
+        prepare_discovery(network=True)
+
+
+def test_on_one_machine_fast_dds_is_left_as_it_is():
     prepare_discovery()
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    prepare_discovery()
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert [os.environ[name] for name in PROFILES] == ["", ""]
+
+
+def test_on_a_network_losses_are_repaired_soon():
+    prepare_discovery(network=True)
+    (file,) = {os.environ[name] for name in PROFILES}
+    namespace = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+    (writer,) = ElementTree.parse(file).findall(".//dds:data_writer", namespace)
+    assert writer.get("is_default_profile") == "true"
+    period = writer.findtext("dds:times/dds:heartbeatPeriod/dds:nanosec", None, namespace)
+    assert period is not None
+    assert int(period) < 100e6  # Fast DDS would take 3 s
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_the_settings_of_a_user_stay(monkeypatch, name):
+    monkeypatch.setenv(name, "mine.xml")
+    prepare_discovery(network=True)
+    assert sorted(os.environ[name] for name in PROFILES) == ["", "mine.xml"]
 
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "1.5", "²"])

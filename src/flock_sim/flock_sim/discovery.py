@@ -7,6 +7,9 @@ import os
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
 
 from flock_sim.command_line import note
 from flock_sim.core.configuration import nearest
@@ -18,6 +21,12 @@ SAFE_DOMAINS = 101  # from 0: those whose ports no system gives to others
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
+NARROW = ("LOCALHOST", "OFF")
+
+NETWORK_HELP = "find, and be found by, nodes on other machines too"
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""What Fast DDS, up to version 2 and from 3 on, reads its settings from."""
 
 
 @contextmanager
@@ -43,15 +52,26 @@ def own_domain() -> Iterator[None]:
         yield
 
 
-def prepare_discovery() -> None:
-    """Look for others on this machine only, unless the environment asks for more.
+def prepare_discovery(network: bool = False) -> None:
+    """Look for others on this machine only, unless `network` or the environment asks for more.
 
-    Raises FlockError where the environment asks for what ROS does not have.
+    Raises FlockError where the environment asks for what ROS does not have, or for less.
     """
     domain = os.environ.get(DOMAIN) or "0"
     if not (domain.isascii() and domain.isdigit() and int(domain) <= LAST_DOMAIN):
         raise FlockError(f"{DOMAIN} = {domain}: must be a whole number, 0..{LAST_DOMAIN}")
-    reach = os.environ.get(RANGE) or "LOCALHOST"
+    reach = os.environ.get(RANGE) or ("SUBNET" if network else "LOCALHOST")
     if reach not in RANGES:
         raise FlockError(f"{RANGE} = {reach}: {nearest(reach, RANGES)}")
+    if network and reach in NARROW:
+        raise FlockError(f"{RANGE} = {reach} and --network exclude each other: leave one out")
     os.environ[RANGE] = reach
+    if network:
+        _repair_losses_soon()
+
+
+def _repair_losses_soon() -> None:
+    """Give Fast DDS our settings for networks, unless the environment names some."""
+    if not any(os.environ.get(name) for name in PROFILES):
+        settings = Path(get_package_share_directory("flock_sim")) / "network.xml"
+        os.environ.update(dict.fromkeys(PROFILES, str(settings)))

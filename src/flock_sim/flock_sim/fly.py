@@ -28,7 +28,7 @@ from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration, nearest
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
 from flock_sim.crew import Crew
-from flock_sim.discovery import own_domain, prepare_discovery
+from flock_sim.discovery import NETWORK_HELP, own_domain, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
 from flock_sim.progress import progress_bar
@@ -78,7 +78,7 @@ def tool(arguments: Sequence[str]) -> int:
         flight = {"steps_per_second": 0.0, "wall_seconds": 0.0, "output": str(options.resume)}
         report(flight, plan.configuration, options.json)
         return 0
-    prepare_discovery()
+    prepare_discovery(options.network)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _terminated)
     with own_domain():
@@ -123,6 +123,7 @@ def _parser() -> Parser:
     how.add_argument(
         "--no-respawn", action="store_true", help="end the flight when a process of it is killed"
     )
+    how.add_argument("--network", action="store_true", help=NETWORK_HELP)
     how.add_argument("--record-stages", action="store_true", help="record RK4 stages too")
     how.add_argument("--no-record", action="store_true", help="fly without a bag")
     return parser

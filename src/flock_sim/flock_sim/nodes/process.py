@@ -25,7 +25,7 @@ from rclpy.utilities import remove_ros_args
 from flock_sim.command_line import Parser, note, positive_number, run_tool, whole_number
 from flock_sim.core.configuration import MEANING, FlockConfiguration, nearest
 from flock_sim.crew import SUPERVISED
-from flock_sim.discovery import prepare_discovery
+from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
 from flock_sim.nodes.patience import Patience
@@ -116,15 +116,17 @@ def run_node(
         parser = Parser(f"{name} --ros-args", description, examples)
         parser.prog = f"./flock {name}"
         parser.usage = (
-            f"./flock {name} [-h] [--timeout S] --ros-args [-p KEY:=VALUE]... [--params-file FILE]"
+            f"./flock {name} [-h] [--timeout S] [--network] "
+            "--ros-args [-p KEY:=VALUE]... [--params-file FILE]"
         )
         parser.add_argument("--timeout", metavar="S", help="the parameter `timeout`, in s")
+        parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
         options = parser.parse_args(_without_ros_arguments(name, arguments))
         supervised = SUPERVISED in os.environ
         stop = Stop(heed_interrupt=not supervised)
         if supervised:
             _follow_parent()
-        prepare_discovery()
+        prepare_discovery(options.network)
         context = ros_context(arguments)
         try:
             configuration, operation = _parameters(name, context)
