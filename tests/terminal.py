@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,9 +169,14 @@ class Terminal:
         self._looked = 0.0
         self._count = 0
 
-    def start(self, tool: str, *arguments: object, **options: Any) -> Job:
-        """Start a tool, as a user does; `options` go to Popen."""
-        module = [sys.executable, "-P", "-m", TOOLS[tool]]
+    def start(
+        self, tool: str, *arguments: object, enter: Sequence[str] = (), **options: Any
+    ) -> Job:
+        """Start a tool, as a user does; `options` go to Popen.
+
+        `enter` are words before the command, such as `nsenter ...`.
+        """
+        module = [*enter, sys.executable, "-P", "-m", TOOLS[tool]]
         return self.start_command(tool, [*module, *map(str, arguments)], **options)
 
     def start_command(self, name: str, command: list[str], **options: Any) -> Job:
