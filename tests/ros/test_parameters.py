@@ -87,7 +87,7 @@ def test_every_default_is_within_its_range(context: Context) -> None:
     declare(node, FlockConfiguration(), operation, tuple(OPERATION_MEANING))
     told = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
     assert told["birds"] == 13
-    assert told["span_ratios"] == [""]
+    assert told["span_ratios"] == told["perturbations"] == [""]
     assert told.keys() >= MEANING.keys() | OPERATION_MEANING.keys()
     node.destroy_node()
 

@@ -72,8 +72,17 @@ def test_no_options_are_the_defaults() -> None:
 def test_every_option_reaches_the_configuration() -> None:
     flight = ("--dt", "0.5", "--t-max", "1e2", "--record-every", "4")
     spans = ("--span-ratio", "1=0.9", "--span-ratio", "2=1,1.1")
-    assert flock("--birds", "5", "--coupling", "all", *flight, *spans) == (
-        FlockConfiguration(5, "all", 0.5, 100.0, 4, span_ratios=("1=0.9", "2=1,1.1"))
+    pushes = ("--perturb", "4@150=-0.1", "--perturb", "1:2@0=0,0.01")
+    assert flock("--birds", "5", "--coupling", "all", *flight, *spans, *pushes) == (
+        FlockConfiguration(
+            5,
+            "all",
+            0.5,
+            100.0,
+            4,
+            span_ratios=("1=0.9", "2=1,1.1"),
+            perturbations=("4@150=-0.1", "1:2@0=0,0.01"),
+        )
     )
 
 

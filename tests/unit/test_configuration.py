@@ -72,6 +72,41 @@ REFUSED = [
         ["4=1,2", "5=1,2,3"],
         ["'4=1,2' has 2 members", "'5=1,2,3' has 3", "give 1 or 3"],
     ),
+    ("perturbations", "4@5=1", ["perturbations = '4@5=1'", 'list such as ["4@500=0.1,-0.01"]']),
+    ("perturbations", [4], ["perturbations = 4", "must be text"]),
+    *(
+        (
+            "perturbations",
+            [entry],
+            [repr(entry), "BIRD[:MEMBER]@STEP=DPOSITION[,DSPEED]", "such as"],
+        )
+        for entry in (
+            *(
+                "4",
+                "4@5",
+                "4=0.1",
+                "@5=1",
+                "4@=1",
+                "4@5=",
+                "4@5=1,",
+                "4@5=,1",
+                "4@5=1,2,3",
+                "4@5=far",
+            ),
+            *("4:@5=1", ":1@5=1", "4:1:1@5=1", "4@5@6=1", "4@5=1=2", "4.0@5=1", "4:1.0@5=1"),
+            *("4@5.5=1", "4@nan=1", "4@inf=1", "four@5=1", "4@5:1=1"),
+        )
+    ),
+    ("perturbations", ["0@5=1"], ["'0@5=1'", "bird 0 is not among 1..13"]),
+    ("perturbations", ["14@5=1"], ["'14@5=1'", "bird 14 is not among 1..13"]),
+    ("perturbations", ["4:0@5=1"], ["'4:0@5=1'", "member 0 is not among 1..1"]),
+    ("perturbations", ["4:2@5=1"], ["'4:2@5=1'", "member 2 is not among 1..1"]),
+    ("perturbations", ["4@-1=1"], ["'4@-1=1'", "step -1 is not among 0..10000"]),
+    ("perturbations", ["4@10001=1"], ["'4@10001=1'", "step 10001 is not among 0..10000"]),
+    ("perturbations", ["4@1e300=1"], ["'4@1e300=1'", "is not among 0..10000"]),
+    ("perturbations", ["4@5=nan"], ["'4@5=nan'", "nan must be finite"]),
+    ("perturbations", ["4@5=1,-inf"], ["'4@5=1,-inf'", "-inf must be finite"]),
+    ("perturbations", ["4@5=1", "4@5=1e999"], ["'4@5=1e999'", "inf must be finite"]),
     ("span_ratios", ["4=0.5", "5=0.5"], ["0.5 and 0.5", "birds 4 and 5", "more than 1"]),
     ("span_ratios", ["4=1,0.3", "5=1,0.4"], ["0.3 and 0.4", "birds 4 and 5", "more than 1"]),
 ]
@@ -178,7 +213,7 @@ def test_numbers_may_be_text(text, number):
 
 def test_an_empty_entry_is_none():
     # ROS has no empty list of strings: [""] stands for it.
-    assert configured(span_ratios=[""]) == FlockConfiguration()
+    assert configured(span_ratios=[""], perturbations=[""]) == FlockConfiguration()
 
 
 def test_one_value_holds_for_all_members():
@@ -213,6 +248,7 @@ def test_parameters_read_back_as_the_same_configuration(birds, coupling, ratio, 
         dt=dt,
         t_max=dt * steps,
         span_ratios=(f"{birds}={ratio!r},1",),
+        perturbations=(f"{birds}:2@{steps}={ratio!r}", "1@0=0,-0.1"),
     )
     again = FlockConfiguration.from_parameters(configuration.parameters())
     assert again == configuration

@@ -50,9 +50,10 @@ def test_a_dataset_knows_the_flock(flight: Path) -> None:
     with Run(flight) as run:
         np.testing.assert_array_equal(data.lateral.T, run.metrics().lateral)
     assert data.attrs["span_ratios"] == "2=1.0,1.02,0.97 4=1.01"
+    assert data.attrs["perturbations"] == "none"
     assert data.attrs["leader"] == 3
     parameters = CONFIGURATION.parameters()
-    del parameters["span_ratios"]
+    del parameters["span_ratios"], parameters["perturbations"]
     assert data.attrs.items() >= parameters.items()
 
 

@@ -45,6 +45,14 @@ def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[s
     assert found["parts"][2][-1] == [3]
 
 
+def test_a_steady_state_is_that_of_a_flock_that_nobody_pushes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    calm = json_of(tool, capsys, "--birds", "5")
+    assert json_of(tool, capsys, "--birds", "5", "--perturb", "5@10=1e3") == calm
+    assert "bird 6" in error_of(tool, capsys, "--birds", "5", "--perturb", "6@10=1e3")
+
+
 def test_a_bird_alone_has_its_own_speed_and_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
     found = json_of(tool, capsys, "--birds", "1")
     assert found["speed"] == pytest.approx([18.5 / 18.0], rel=1e-14)

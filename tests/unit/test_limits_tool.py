@@ -47,6 +47,19 @@ def test_integrating_finds_the_exact_limits_to_its_resolution(
         assert other["lower_gap"] == one["lower_gap"]
 
 
+@pytest.mark.parametrize("method", ["exact", "integrate"])
+def test_limits_are_those_of_a_flock_that_nobody_pushes(
+    method: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The push, ten steps before the end, would leave no flock with sigma_U < 1e-4.
+    flock = ("--birds", "3", "--method", method, "--bird", "2", "--t-max", "1e4")
+    calm, pushed = (
+        json_of(tool, capsys, *flock, *push) for push in ((), ("--perturb", "1@9990=0,0.1"))
+    )
+    assert pushed["limits"] == calm["limits"]
+    assert not calm["limits"][0]["never"]
+
+
 @pytest.mark.slow
 def test_a_dask_cluster_finds_what_this_machine_finds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

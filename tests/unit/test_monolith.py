@@ -111,6 +111,45 @@ def test_flight_is_that_of_an_independent_integration(birds, coupling, span_rati
     np.testing.assert_allclose(flock.speed[:, 0], speed, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize(("birds", "coupling", "span_ratios"), FLOCKS)
+def test_a_perturbed_flight_is_that_of_an_independent_integration(birds, coupling, span_ratios):
+    pushes = [  # (time, bird, change of position, change of speed), of both ends of the flight too
+        (0.0, 1, 0.2, 0.0),
+        (60.0, birds, -0.3, 0.02),
+        (60.0, 1, 0.0, -0.03),
+        (110.125, 1, 0.4, 0.01),
+        (200.0, birds, 0.1, 0.01),
+    ]
+    dt, t_max = 0.125, 200.0
+    flock = flown(
+        birds=birds,
+        coupling=coupling,
+        span_ratios=span_ratios,
+        dt=dt,
+        t_max=t_max,
+        perturbations=[f"{bird}@{round(time / dt)}={dx},{du}" for time, bird, dx, du in pushes],
+    )
+    ratios = flock.configuration.span_ratio[:, 0]
+    state = np.array([-abs(i - birds // 2) * GAP for i in range(birds)] + [CRUISE] * birds)
+    for time, until in pairwise([0.0, 60.0, 110.125, t_max, t_max]):
+        for at, bird, dx, du in pushes:
+            if at == time:
+                state[bird - 1] += dx
+                state[birds + bird - 1] += du
+        if until > time:
+            state = solve_ivp(
+                equations_of_motion(ratios, coupling),
+                (time, until),
+                state,
+                method="DOP853",
+                rtol=1e-13,
+                atol=1e-13,
+            ).y[:, -1]
+    # As above: what a push changes of the gaps is a part of what they change by in flight.
+    np.testing.assert_allclose(flock.position[:, 0], state[:birds], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(flock.speed[:, 0], state[birds:], rtol=0, atol=1e-11)
+
+
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 @pytest.mark.parametrize("birds", [3, 5, 13])
 def test_error_falls_with_the_fourth_power_of_the_step(birds, coupling):

@@ -63,6 +63,19 @@ def test_the_same_flocks_are_drawn_whatever_else_is_asked_for(
     assert alone["results"][0] == among["results"][3]
 
 
+def test_perturbations_of_a_configuration_file_have_no_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flock.yaml"
+    text = '/**:\n  ros__parameters:\n    birds: 13\n    perturbations: ["13@5=0.1"]\n'
+    path.write_text(text, encoding="utf-8")
+    few = ("--birds", "3", "--spread", "0.03", "--samples", "100")
+    calm, pushed = (
+        json_of(tool, capsys, *few, *config) for config in ((), ("--config", str(path)))
+    )
+    assert pushed["results"] == calm["results"]
+
+
 def test_span_ratios_of_a_configuration_file_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,10 +14,22 @@ from typing import Any, NoReturn
 
 from flock_sim import configuration_file
 from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
+from flock_sim.core.perturbation import FORM
 from flock_sim.errors import FlockError
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141
+
+FLOCK_OPTIONS = {
+    "birds": "--birds",
+    "span_ratios": "--span-ratio",
+    "coupling": "--coupling",
+    "dt": "--dt",
+    "t_max": "--t-max",
+    "record_every": "--record-every",
+    "perturbations": "--perturb",
+}
+"""Keys of the configuration that have an option of their own, and which."""
 
 LONGEST = 1e9
 """The longest time, in s, that anybody may be told to wait."""
@@ -66,6 +78,14 @@ def add_flock_options(parser: argparse.ArgumentParser) -> None:
     flock.add_argument("--dt", metavar="DT", help="step size in b/U_min (1.0)")
     flock.add_argument("--t-max", metavar="T", help="flight time in b/U_min (1e4)")
     flock.add_argument("--record-every", metavar="K", help="steps between recorded states (10)")
+    flock.add_argument(
+        "--perturb",
+        metavar=FORM,
+        action="append",
+        dest="perturbations",
+        help="push a bird at the beginning of a step: change its position, in b, and speed, in "
+        "U_min, in one member or all; may be repeated",
+    )
 
 
 def flock_configuration(options: argparse.Namespace) -> FlockConfiguration:

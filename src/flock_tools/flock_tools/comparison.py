@@ -15,6 +15,7 @@ import numpy.typing as npt
 from flock_sim.core import topics
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.messages import BILLION, State
+from flock_sim.core.perturbation import in_order
 from flock_sim.errors import FlockError
 from flock_sim.run import ARRAYS, Run
 from flock_tools.difference import Difference, distance, other_bits
@@ -86,7 +87,8 @@ def compare(
 ) -> Comparison:
     """Compare what was flown: bit for bit, or the arrays of the states to within `tolerance`.
 
-    Run ids, grants, clock and diagnostics tell how it was flown, and are left aside. `show` is
+    Run ids, grants, clock and diagnostics tell how it was flown, and are left aside; so are
+    perturbations asked for in flight, since states show them. `show` is
     called with the step reached, now and then. Memory is bounded.
 
     Raises FlockError where a bag can't be read.
@@ -228,16 +230,19 @@ def _unlike_heads(one: State, other: State) -> Iterator[Unlike]:
 
 
 def _configurations(first: Run, second: Run) -> Iterator[Difference]:
-    """Yield the keys in which the configurations differ; the last is what span ratios mean."""
+    """Yield the keys in which the configurations differ; lists by what they mean."""
     one, other = first.configuration, second.configuration
     values, others = one.parameters(), other.parameters()
     spans = values.pop("span_ratios"), others.pop("span_ratios")
+    pushes = values.pop("perturbations"), others.pop("perturbations")
     for key, value in values.items():
         if value != others[key]:
             yield Difference("configuration", (value, others[key]), key)
     # "4=1" and "4=1.0", or none at all, are the same flock.
     if one.birds == other.birds and not np.array_equal(one.span_ratio, other.span_ratio):
         yield Difference("configuration", spans, "span_ratios")
+    if pushes[0] != pushes[1] and in_order(one.pushes) != in_order(other.pushes):
+        yield Difference("configuration", pushes, "perturbations")
 
 
 def _wings(first: Run, second: Run) -> Iterator[Difference]:

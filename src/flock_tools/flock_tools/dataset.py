@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from flock_sim.core import formation, topics
+from flock_sim.core.configuration import EXAMPLES
 from flock_sim.core.kernel import FloatArray
 from flock_sim.errors import FlockError
 from flock_sim.run import ARRAYS, Run
@@ -142,7 +143,8 @@ def _attributes(run: Run) -> dict[str, Any]:
     """Return what is said of the whole run, in types that NetCDF knows."""
     configuration = run.configuration
     attributes = configuration.parameters()
-    attributes["span_ratios"] = " ".join(configuration.span_ratios) or "none"
+    for key in EXAMPLES:  # lists, which NetCDF does not know
+        attributes[key] = " ".join(attributes[key]) or "none"
     attributes["leader"] = formation.leader(configuration.birds)
     attributes["second"] = configuration.second
     if run.missing:

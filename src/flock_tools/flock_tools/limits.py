@@ -52,7 +52,7 @@ exact: by the existence of the steady state.
 integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
 the homogeneous flock; bisection to --resolution.
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate.
+integrate; --perturb has no say.
 An end that is not inside the searched interval is told so, and null in JSON.
 Exit status: 0, whatever the answer is; 2 bad input."""
 

@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from flock_sim.core import perturbation
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.perturbation import Perturbation
 from flock_sim.errors import FlockError
 
 COUPLINGS = ("nearest", "all")
@@ -48,7 +50,11 @@ MEANING = {
     "zero_lift_drag": "zero-lift drag coefficient C_D",
     "aspect_ratio": "aspect ratio AR = (2b)^2 / S",
     "span_ratios": "birds that differ, each as I=LAMBDA or I=LAMBDA,LAMBDA,... (one a member)",
+    "perturbations": f"pushes, each as {perturbation.FORM}, in b and U_min",
 }
+
+EXAMPLES = {"span_ratios": "4=1.05", "perturbations": perturbation.EXAMPLE}
+"""What the entries of a list look like."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,7 @@ class FlockConfiguration:
     zero_lift_drag: float = 0.025
     aspect_ratio: float = 9.0
     span_ratios: tuple[str, ...] = ()
+    perturbations: tuple[str, ...] = ()
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
@@ -132,12 +139,17 @@ class FlockConfiguration:
                 f"dt = {self.dt:g} and record_every = {self.record_every}: states are recorded "
                 f"less than {LEAST_ROW:g} ns apart; raise one of them"
             )
-        self.span_ratio  # noqa: B018  (read once, so that a bad one is refused here)
+        self.span_ratio, self.pushes  # noqa: B018  (read once, so that bad ones are refused here)
 
     @cached_property
     def span_ratio(self) -> FloatArray:
         """lambda_i of every bird and member, shape (birds, members)."""
         return _span_ratio(self.span_ratios, self.birds)
+
+    @cached_property
+    def pushes(self) -> tuple[Perturbation, ...]:
+        """The perturbations, in the order in which they are given, one for each member pushed."""
+        return perturbation.perturbations(self.perturbations, self.birds, self.members, self.steps)
 
     @property
     def members(self) -> int:
@@ -164,7 +176,8 @@ class FlockConfiguration:
 
     def parameters(self) -> dict[str, Any]:
         """Return every key of the configuration file with its value."""
-        return {**asdict(self), "span_ratios": list(self.span_ratios)}
+        lists = {key: list(getattr(self, key)) for key in EXAMPLES}
+        return {**asdict(self), **lists}
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -199,7 +212,7 @@ def _text(key: str, value: Any) -> str:
 
 def _texts(key: str, value: Any) -> tuple[str, ...]:
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise FlockError(f'{key} = {value!r}: must be a list such as ["4=1.05"]')
+        raise FlockError(f'{key} = {value!r}: must be a list such as ["{EXAMPLES[key]}"]')
     return tuple(_text(key, item) for item in value if item != "")
 
 

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,11 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
 from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.perturbation import Perturbation, in_order
 from flock_sim.core.runge_kutta import STAGES, stage_value
+
+RECORDED = 4
+"""Position, speed, circulation and interaction drag: what is recorded of a bird."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,8 @@ class Recorded:
 class Monolith:
     """A flock that is integrated as one system. `position` and `speed` are (birds, members).
 
+    They are those at the beginning of `step`, after what it is perturbed by there.
+
     >>> flock = Monolith(FlockConfiguration(birds=3, t_max=100.0))
     >>> states = list(flock.fly())
     >>> states[-1].step
@@ -38,9 +45,15 @@ class Monolith:
     """
 
     def __init__(
-        self, configuration: FlockConfiguration, span_ratio: FloatArray | None = None
+        self,
+        configuration: FlockConfiguration,
+        span_ratio: FloatArray | None = None,
+        live: Iterable[Perturbation] = (),
     ) -> None:
-        """Place the flock at its start; `span_ratio` (birds, members) replaces the configured."""
+        """Place the flock at its start; `span_ratio` (birds, members) replaces the configured.
+
+        `live` are perturbations besides the configured, and come after these at the same step.
+        """
         self.configuration = configuration
         self.flock = Flock.of(configuration, span_ratio)
         birds, members = self.flock.span_ratio.shape
@@ -48,13 +61,17 @@ class Monolith:
         self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
+        self._pushes = deque(in_order([*configuration.pushes, *live]))
+        for perturbation in self._pushes:
+            perturbation.check(birds, members, configuration.steps)
+        self._push()
 
     def fly(self, rows: int = 1024) -> Iterator[Recorded]:
         """Integrate to the end, yielding every recorded state; `rows` at most are held at once."""
         steps, every = self.configuration.steps, self.configuration.record_every
         while True:
             count = min(rows * every, steps - self.step)
-            first = self.step
+            first = -(-self.step // every) * every
             recorded = self.advance(count)
             for k, state in enumerate(recorded):
                 yield Recorded(first + k * every, *state)
@@ -64,19 +81,37 @@ class Monolith:
                 return
 
     def advance(self, steps: int) -> FloatArray:
-        """Take `steps` steps from a recorded one; return the states recorded on the way.
+        """Take `steps` steps; return the states recorded on the way.
 
         The result has shape (records, 4, birds, members): position, speed, circulation and
-        interaction drag at the beginning of the first, the `record_every`-th ... step.
+        interaction drag at the beginning of every step taken that is a multiple of `record_every`.
         """
-        every, flock = self.configuration.record_every, self.flock
-        recorded = np.empty((-(-steps // every), STAGES, *self.position.shape))
+        end = self.step + steps
+        due = self._records_before(end) - self._records_before(self.step)
+        recorded = np.empty((due, RECORDED, *self.position.shape))
+        rest = recorded
+        while self.step < end:
+            until = min(end, self._pushes[0].step) if self._pushes else end
+            count = self._records_before(until) - self._records_before(self.step)
+            self._integrate(until, rest[:count])
+            rest = rest[count:]
+            self._push()
+        return recorded
+
+    def _records_before(self, step: int) -> int:
+        """Return how many steps below `step` are recorded."""
+        return -(-step // self.configuration.record_every)
+
+    def _integrate(self, until: int, recorded: FloatArray) -> None:
+        """Take all steps to the beginning of step `until`, before what happens there."""
+        flock = self.flock
         _advance(
             self.position,
             self.speed,
             self.configuration.dt,
-            steps,
-            every,
+            self.step,
+            until,
+            self.configuration.record_every,
             flock.coefficients,
             flock.half_span,
             flock.pairs,
@@ -84,8 +119,14 @@ class Monolith:
             flock.even,
             recorded,
         )
-        self.step += steps
-        return recorded
+        self.step = until
+
+    def _push(self) -> None:
+        """Perturb the birds as is due at the present step."""
+        while self._pushes and self._pushes[0].step == self.step:
+            perturbation = self._pushes.popleft()
+            row = perturbation.bird - 1
+            perturbation.push(self.position[row], self.speed[row])
 
     def observe(self) -> FloatArray:
         """Return the present state as `advance` records it, shape (4, birds, members)."""
@@ -144,7 +185,8 @@ def _advance(
     position: FloatArray,
     speed: FloatArray,
     dt: float,
-    steps: int,
+    first: int,
+    until: int,
     every: int,
     coefficients: FloatArray,
     half_span: FloatArray,
@@ -153,7 +195,7 @@ def _advance(
     even: FloatArray,
     recorded: FloatArray,
 ) -> None:
-    """Take `steps` steps in place, recording every `every`-th from the first."""
+    """Take the steps from `first` to below `until` in place, recording multiples of `every`."""
     birds, members = position.shape
     position_now = position.copy()
     speed_now = speed.copy()
@@ -162,7 +204,8 @@ def _advance(
     velocity_slopes = np.empty((STAGES, birds * members))
     speed_slopes = np.empty((STAGES, birds * members))
 
-    for step in range(steps):
+    records = 0
+    for step in range(first, until):
         for stage in range(STAGES):
             _forces(
                 position_now,
@@ -176,7 +219,8 @@ def _advance(
                 drag,
             )
             if stage == 0 and step % every == 0:
-                row = recorded[step // every]
+                row = recorded[records]
+                records += 1
                 row[0], row[1], row[2], row[3] = position, speed, circulation, drag
             for i in range(birds):
                 for m in range(members):
