@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Progress
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Perturbation, Progress
 from flock_sim.core import messages
 from flock_sim.core.stage_message import stage_bytes, stage_header, stage_numbers, stage_words
 
@@ -42,6 +42,9 @@ FIELDS = {
     ),
     messages.Grant: (Grant, ["run_id", "step", "end", "dt", "epoch"]),
     messages.Progress: (Progress, ["run_id", "step", "epoch", "who"]),
+    messages.Push: (
+        Perturbation, ["run_id", "step", "position", "speed", "number", "bird", "member"],
+    ),
     messages.Time: (Clock, ["clock.sec", "clock.nanosec"]),
 }  # fmt: skip
 """The ROS type of each message, and where its fields are in it, in order."""

@@ -13,6 +13,7 @@ from flock_sim.errors import FlockError
 TYPES = [
     *(f"flock_interfaces/msg/Bird{name}" for name in ("Wing", "Stage", "State")),
     "flock_interfaces/msg/Grant",
+    "flock_interfaces/msg/Perturbation",
     "flock_interfaces/msg/Progress",
     "rosgraph_msgs/msg/Clock",
     "std_msgs/msg/Header",

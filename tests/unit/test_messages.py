@@ -12,7 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import FRAME, Grant, Message, Progress, Stage, State, Time, Wing
+from flock_sim.core.messages import FRAME, Grant, Message, Progress, Push, Stage, State, Time, Wing
+from flock_sim.core.perturbation import Perturbation
 
 whole32, whole64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
 signed32, signed64 = st.integers(-(2**31), 2**31 - 1), st.integers(-(2**63), 2**63 - 1)
@@ -29,6 +30,7 @@ MESSAGES = {
     ),
     Grant: st.builds(Grant, whole64, whole64, whole64, real, whole32),
     Progress: st.builds(Progress, whole64, signed64, whole32, text),
+    Push: st.builds(Push, whole64, whole64, real, real, whole32, whole32, whole32),
     Time: st.builds(Time, signed32, whole32),
 }
 
@@ -219,6 +221,20 @@ def test_layout_of_progress():
         (0, "Q", 7), (8, "q", -1), (16, "I", 2), (20, "I", 8), (24, "8s", b"bird_01\0")
     )
     assert Progress(7, -1, 2, "bird_01").encode() == expected
+
+
+def test_layout_of_a_push():
+    expected = laid_out(
+        (0, "Q", 7), (8, "Q", 500), (16, "d", 0.1), (24, "d", -0.01), (32, "3I", 2, 4, 1)
+    )
+    assert Push(7, 500, 0.1, -0.01, 2, 4, 1).encode() == expected
+
+
+def test_a_push_says_what_is_done():
+    perturbation = Perturbation(step=500, bird=4, member=2, position=0.1, speed=-0.01)
+    message = Push.of(7, 3, perturbation)
+    assert (message.run_id, message.number, message.bird, message.member) == (7, 3, 4, 2)
+    assert Push.decode(message.encode()).perturbation == perturbation
 
 
 def test_layout_of_the_clock():

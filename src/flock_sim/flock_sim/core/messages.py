@@ -8,13 +8,14 @@ Having them here lets the core, the recorder and the offline tools work on bytes
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.perturbation import Perturbation
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 FRAME = "flock"
@@ -249,6 +250,32 @@ class Checkpoint(Message):
     def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:
         """Return the checkpoint of a flight of which nothing is recorded."""
         return cls(run_id, 0, epoch, np.empty(0), np.empty(0), perturbations)
+
+
+@dataclass(frozen=True, slots=True)
+class Push(Message):
+    """Perturbation: a push that was asked for in flight, the `number`-th (1, 2, ...) of its run."""
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/Perturbation"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "d", "d", "I", "I", "I")
+
+    run_id: int
+    step: int
+    position: float
+    speed: float
+    number: int
+    bird: int
+    member: int
+
+    @classmethod
+    def of(cls, run_id: int, number: int, perturbation: Perturbation) -> Push:
+        """Return the message for a perturbation, the `number`-th of its run."""
+        return cls(run_id, number=number, **asdict(perturbation))
+
+    @property
+    def perturbation(self) -> Perturbation:
+        """What is done; whether the flight has such a bird, member and step is not checked."""
+        return Perturbation(self.step, self.bird, self.member, self.position, self.speed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,11 @@ CLOCK_TOPIC = "/clock"
 GRANT_TOPIC = f"{NAMESPACE}/clock/grant"
 PROGRESS_TOPIC = f"{NAMESPACE}/progress"
 CHECKPOINT_TOPIC = f"{NAMESPACE}/checkpoint"
+PERTURBATION_TOPIC = f"{NAMESPACE}/perturbation"
 RECORDER = "recorder"
+
+PERTURBATION_DEPTH = 1000
+"""Pushes asked for in flight that are kept for who comes late."""
 
 STAGE_DEPTH = 128
 """Stages that a bird keeps for a listener that is slow; neighbours need two, a recorder more."""
@@ -69,4 +73,4 @@ def depth(topic: str, configuration: FlockConfiguration) -> int:
     kind = topic.rpartition("/")[2]
     if kind in ("state", "clock"):
         return 2 * rows_ahead(configuration)
-    return STAGE_DEPTH if kind == "stage" else 1
+    return {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH}.get(kind, 1)
