@@ -13,10 +13,13 @@ import pytest
 
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
-from flock_sim.core import messages
+from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.monolith import Monolith
+from flock_sim.core.perturbation import Perturbation
 from flock_sim.errors import FlockError
+from flock_sim.recording import recording
+from flock_sim.reference import row
 from flock_sim.run import ARRAYS, Run
 from unit.flights import record
 
@@ -136,6 +139,70 @@ def test_a_bag_of_something_else_is_refused(tmp_path: Path, opened: Open) -> Non
         bag.write("/chatter", 0, b"\0\1\0\0")
     with pytest.raises(FlockError, match="not a bag of Flock's"):
         opened(tmp_path / "bag")
+
+
+PUSHES = [
+    Perturbation(step=60, bird=2, member=1, position=0.5, speed=0.0),
+    Perturbation(step=3, bird=1, member=2, position=0.1, speed=-0.01),
+    Perturbation(step=3, bird=1, member=2, position=0.2, speed=0.01),
+]
+
+
+def pushed(path: Path, messages_of_it: list[messages.Push], rows_to: int = 60) -> Path:
+    """Record a flight up to step `rows_to` in which these were asked for before it began."""
+    states = [state for state in Monolith(CONFIGURATION).fly() if state.step <= rows_to]
+    with recording(path, CONFIGURATION, grants=True) as run:
+        for message in messages_of_it:
+            run.write_perturbation(message.encode(), message.step)
+        for state in states:
+            run.write_row(row(CONFIGURATION, state))
+    return path
+
+
+def test_what_was_asked_for_in_flight_comes_back_in_order_of_number(
+    tmp_path: Path, opened: Open
+) -> None:
+    sent = [messages.Push.of(7, number, push) for number, push in enumerate(PUSHES, start=1)]
+    # As a recorder that was started again may have it: the first a second time.
+    run = opened(pushed(tmp_path / "run", [sent[1], sent[0], sent[2], sent[0]]))
+    assert run.perturbations() == PUSHES
+    stamps = [time for _, time, _ in run.bag.messages([topics.PERTURBATION_TOPIC])]
+    assert stamps == [CONFIGURATION.stamp(step) for step in (3, 60, 3, 60)]
+
+
+def test_a_run_that_nobody_pushed_has_no_perturbations(flight: Path, opened: Open) -> None:
+    assert opened(flight).perturbations() == []
+
+
+@pytest.mark.parametrize(
+    "change", [{"bird": 4}, {"bird": 0}, {"member": 3}, {"step": 61}, {"speed": float("nan")}]
+)
+def test_a_recorded_push_of_what_is_not_there_is_refused(
+    tmp_path: Path, opened: Open, change: dict[str, float]
+) -> None:
+    message = replace(messages.Push.of(7, 1, PUSHES[1]), **change)
+    run = opened(pushed(tmp_path / "run", [message]))
+    with pytest.raises(FlockError, match="another copy of the bag"):
+        run.perturbations()
+
+
+def test_two_pushes_of_one_number_are_refused(tmp_path: Path, opened: Open) -> None:
+    run = opened(pushed(tmp_path / "run", [messages.Push.of(7, 1, push) for push in PUSHES[:2]]))
+    with pytest.raises(FlockError, match="perturbation 1 is both '2:1@60"):
+        run.perturbations()
+
+
+@pytest.mark.parametrize(("rows_to", "time"), [(60, None), (57, "57"), (0, "0")])
+def test_a_push_to_come_is_not_taken_for_what_was_flown(
+    tmp_path: Path, opened: Open, rows_to: int, time: str | None
+) -> None:
+    sent = [messages.Push.of(7, 1, PUSHES[0])]  # at the very end
+    run = opened(pushed(tmp_path / "run", sent, rows_to))
+    assert run.at().step == rows_to
+    if time is None:
+        assert run.missing is None
+    else:
+        assert f"ended at t = {time} of 60" in str(run.missing)
 
 
 @pytest.mark.filterwarnings("error")

@@ -74,6 +74,10 @@ class Recording:
         """Write a grant, at the simulated time of the row before it."""
         self.bag.write(topics.GRANT_TOPIC, self._stamp, data)
 
+    def write_perturbation(self, data: bytes, step: int) -> None:
+        """Write a push that was asked for in flight, at the simulated time at which it happens."""
+        self.bag.write(topics.PERTURBATION_TOPIC, self._configuration.stamp(step), data)
+
 
 @contextmanager
 def recording(
@@ -83,12 +87,18 @@ def recording(
     grants: bool,
     stages: bool = False,
     resume: bool = False,
+    live: bool = False,
 ) -> Iterator[Recording]:
-    """Give a recording whose bag is closed, and so complete, however the block ends."""
+    """Give a recording whose bag is closed, and so complete, however the block ends.
+
+    `live`: with perturbations that are asked for in flight, which one with grants has anyway.
+    """
     birds = range(1, configuration.birds + 1)
     kinds: dict[str, type[messages.Message]] = {topics.CLOCK_TOPIC: messages.Time}
     if grants:
         kinds[topics.GRANT_TOPIC] = messages.Grant
+    if grants or live:
+        kinds[topics.PERTURBATION_TOPIC] = messages.Push
     kinds |= {topics.wing_topic(bird): messages.Wing for bird in birds}
     kinds |= {topics.state_topic(bird): messages.State for bird in birds}
     if stages:

@@ -15,6 +15,7 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.core import messages, topics
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import Metrics, measure
+from flock_sim.core.perturbation import Perturbation
 from flock_sim.errors import FlockError
 from flock_sim.recording import CONFIGURATION_RECORD, configuration_of
 
@@ -65,11 +66,27 @@ class Run:
         """Return what a flight that was ended before its time lacks, though its bag is whole."""
         flown = self.configuration
         last = flown.steps - flown.steps % flown.record_every
-        reached = self.bag.last_time
+        reached = self._reached(flown.stamp(last))
         if reached is None or reached >= flown.stamp(last):
             return None
         time = reached / (flown.second * 1e9)
         return f"{self.path}: the flight was ended at t = {time:.6g} of {flown.t_max:g}"
+
+    def _reached(self, end: int) -> int | None:
+        """Return the simulated time, in ns, that was flown to; `end` is where flights end.
+
+        Pushes are recorded ahead of it.
+        """
+        counts = self.bag.message_counts
+        if not counts or not counts.get(topics.PERTURBATION_TOPIC):
+            return self.bag.last_time
+        clock = [topics.CLOCK_TOPIC]
+        try:
+            if next(self.bag.messages(clock, start=end), None):
+                return end
+            return max((time for _, time, _ in self.bag.messages(clock)), default=None)
+        except FlockError:  # who reads on will hear of it
+            return self.bag.last_time
 
     def close(self) -> None:
         """Close the bag; a second call does nothing."""
@@ -109,6 +126,27 @@ class Run:
             bird_of[topic]: self._decode(messages.Wing, topic, data).span_ratio
             for topic, _, data in found
         }
+
+    def perturbations(self) -> list[Perturbation]:
+        """Return what was asked for in flight, besides the configuration's, in order of number.
+
+        Raises FlockError where it can't be flown, or two have one number.
+        """
+        flown, topic = self.configuration, topics.PERTURBATION_TOPIC
+        found: dict[int, Perturbation] = {}
+        for _, _, data in self.bag.messages([topic]):
+            message = self._decode(messages.Push, topic, data)
+            push = message.perturbation
+            try:
+                push.check(flown.birds, flown.members, flown.steps)
+            except FlockError as error:
+                raise FlockError(f"{self.path}: {error}; take another copy of the bag") from error
+            if found.setdefault(message.number, push) != push:
+                raise FlockError(
+                    f"{self.path}: perturbation {message.number} is both '{found[message.number]}' "
+                    f"and '{push}'; take another copy of the bag"
+                )
+        return [found[number] for number in sorted(found)]
 
     def snapshots(self, start: int | None = None) -> Iterator[Snapshot]:
         """Yield every complete recorded step, from simulated time `start` in ns."""

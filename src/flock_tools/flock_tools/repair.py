@@ -53,9 +53,10 @@ def rewrite(run: Run, output: Path) -> int:
     """
     birds = range(1, run.configuration.birds + 1)
     grants = topics.GRANT_TOPIC in run.bag.topics
+    live = topics.PERTURBATION_TOPIC in run.bag.topics
     stages = any(topics.stage_topic(bird) in run.bag.topics for bird in birds)
     foreign = 0
-    with recording(output, run.configuration, grants=grants, stages=stages) as whole:
+    with recording(output, run.configuration, grants=grants, stages=stages, live=live) as whole:
         for topic, log_time, data in _until_broken(run, []):
             try:
                 whole.bag.write(topic, log_time, data)
