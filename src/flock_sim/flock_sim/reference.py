@@ -3,39 +3,59 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from flock_sim.bag.output import claim_output
-from flock_sim.command_line import Parser, add_flock_options, flock_configuration, note, run_tool
+from flock_sim.command_line import (
+    FLOCK_OPTIONS,
+    Parser,
+    add_flock_options,
+    flock_configuration,
+    note,
+    run_tool,
+)
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Row
-from flock_sim.core.messages import State, Time, Wing
+from flock_sim.core.messages import Push, State, Time, Wing
 from flock_sim.core.monolith import Monolith, Recorded
+from flock_sim.core.perturbation import Perturbation
+from flock_sim.errors import FlockError
 from flock_sim.progress import progress_bar
 from flock_sim.recording import recording
 from flock_sim.report import add_output_options, output_directory, report
+from flock_sim.run import Run
 from flock_sim.warm import warm
 
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
-  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"""
+  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference
+  ./flock reference --repeat runs/mine --output runs/again"""
 
 
 def tool(arguments: Sequence[str]) -> int:
     """Integrate a flock as one system, record it, and say what came of it."""
     parser = Parser("reference", "Fly a flock in one loop, without ROS, bit for bit.", EXAMPLES)
     add_flock_options(parser)
+    parser.add_argument(
+        "--repeat",
+        metavar="RUN",
+        type=Path,
+        help="fly again what RUN flew: its configuration, and what it was perturbed by in flight",
+    )
     add_output_options(parser)
     options = parser.parse_args(arguments)
-    configuration = flock_configuration(options)
+    configuration, live = (
+        _repeated(options) if options.repeat else (flock_configuration(options), [])
+    )
     output = output_directory(options, "reference")
     claim_output(output, options.force)
     note(f"recording to {output}")
     begun = time.monotonic()
-    seconds = _integrate(configuration, output)
+    seconds = _integrate(configuration, live, output)
     flight = {
         "steps_per_second": configuration.steps / seconds,
         "wall_seconds": time.monotonic() - begun,
@@ -45,15 +65,33 @@ def tool(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _integrate(configuration: FlockConfiguration, output: Path) -> float:
+def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Perturbation]]:
+    """Return what the run to repeat flew, and how it was perturbed in flight."""
+    for key, option in {"config": "--config", **FLOCK_OPTIONS}.items():
+        if getattr(options, key) is not None:
+            raise FlockError(
+                f"{option} and --repeat exclude each other: what is flown stands in "
+                f"{options.repeat}; leave one out"
+            )
+    with Run(options.repeat) as run:
+        if run.missing:
+            note(f"note: {run.missing}; it is flown to its end")
+        return run.configuration, run.perturbations()
+
+
+def _integrate(
+    configuration: FlockConfiguration, live: Sequence[Perturbation], output: Path
+) -> float:
     """Integrate and record; return the seconds that went into the integration itself."""
     warm()  # loading compiled code is no part of the rate
     seconds = 0.0
     with (
-        recording(output, configuration, grants=False) as run,
+        recording(output, configuration, grants=False, live=bool(live)) as run,
         progress_bar("integrating", configuration) as show,
     ):
-        flight = Monolith(configuration).fly()
+        for number, perturbation in enumerate(live, start=1):
+            run.write_perturbation(Push.of(0, number, perturbation).encode(), perturbation.step)
+        flight = Monolith(configuration, live=live).fly()
         while True:
             begun = time.perf_counter()
             recorded = next(flight, None)

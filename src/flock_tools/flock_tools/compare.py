@@ -27,7 +27,8 @@ MOST_WINGS = 4
 
 DESCRIPTION = """\
 Compare what was flown in two runs: every field of every state message, the wings, the
-configuration. Who flew it, and how (run ids, grants, clock, diagnostics), is left aside.
+configuration. Who flew it, and how (run ids, grants, clock, diagnostics), is left aside; so is what
+it was perturbed by in flight, which its states show.
 Exit status: 0 equal, 1 not equal, 2 bad input."""
 
 EXAMPLES = """\
