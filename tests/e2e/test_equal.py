@@ -174,7 +174,7 @@ def test_mcaps_own_reader_finds_the_same_messages(flown: Flown) -> None:
         (record,) = [m for m in reader.iter_metadata() if m.name == "flock"]
         statistics = reader.get_summary().statistics
     assert counts.pop("/flock/clock/grant") >= 1
-    assert counts == expected_counts(flown.case)
+    assert counts == +Counter(expected_counts(flown.case))  # of topics that have any
     assert statistics.message_count >= counts.total()
     assert record.metadata["birds"] == str(flown.case.birds)
     assert record.metadata["coupling"] == f'"{flown.case.coupling}"'
