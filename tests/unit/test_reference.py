@@ -34,7 +34,7 @@ def flight(path: Path, *, rows: int = 1000) -> Path:
     flown = list(Monolith(CONFIGURATION, live=pushes()).fly())
     with recording(path, CONFIGURATION, grants=True) as run:
         for number, push in reversed(list(enumerate(pushes(), start=1))):
-            run.write_perturbation(Push.of(99, number, push).encode(), push.step)
+            run.write_perturbation(Push.of(99, number, push))
         for state in flown[:rows]:
             run.write_row(row(CONFIGURATION, state))
     return path

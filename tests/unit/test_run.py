@@ -153,7 +153,7 @@ def pushed(path: Path, messages_of_it: list[messages.Push], rows_to: int = 60) -
     states = [state for state in Monolith(CONFIGURATION).fly() if state.step <= rows_to]
     with recording(path, CONFIGURATION, grants=True) as run:
         for message in messages_of_it:
-            run.write_perturbation(message.encode(), message.step)
+            run.write_perturbation(message)
         for state in states:
             run.write_row(row(CONFIGURATION, state))
     return path

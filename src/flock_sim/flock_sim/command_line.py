@@ -35,10 +35,6 @@ LONGEST = 1e9
 """The longest time, in s, that anybody may be told to wait."""
 
 
-FLOCK_OPTIONS = ("birds", "span_ratios", "coupling", "dt", "t_max", "record_every")
-"""Keys of the configuration that have an option of their own."""
-
-
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are one line, as all of Flock's are."""
 

@@ -15,6 +15,7 @@ from flock_sim.bag.writer import BagWriter
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Row
+from flock_sim.core.perturbation import Perturbation
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
@@ -35,6 +36,8 @@ class Recording:
         self.saved = -1
         self.checkpoint: list[bytes] = []
         self._last: Row | None = None
+        self.live: dict[int, Perturbation] = {}
+        """The pushes asked for in flight that are recorded, by number."""
         self.bag = BagWriter(
             directory,
             [
@@ -74,9 +77,11 @@ class Recording:
         """Write a grant, at the simulated time of the row before it."""
         self.bag.write(topics.GRANT_TOPIC, self._stamp, data)
 
-    def write_perturbation(self, data: bytes, step: int) -> None:
+    def write_perturbation(self, push: messages.Push) -> None:
         """Write a push that was asked for in flight, at the simulated time at which it happens."""
-        self.bag.write(topics.PERTURBATION_TOPIC, self._configuration.stamp(step), data)
+        self.live[push.number] = push.perturbation
+        stamp = self._configuration.stamp(push.step)
+        self.bag.write(topics.PERTURBATION_TOPIC, stamp, push.encode())
 
 
 @contextmanager

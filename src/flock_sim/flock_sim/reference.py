@@ -90,7 +90,7 @@ def _integrate(
         progress_bar("integrating", configuration) as show,
     ):
         for number, perturbation in enumerate(live, start=1):
-            run.write_perturbation(Push.of(0, number, perturbation).encode(), perturbation.step)
+            run.write_perturbation(Push.of(0, number, perturbation))
         flight = Monolith(configuration, live=live).fly()
         while True:
             begun = time.perf_counter()

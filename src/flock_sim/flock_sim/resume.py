@@ -13,7 +13,14 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.run import Run
 
-EXCLUDED = ("config", *FLOCK_OPTIONS, "output", "force", "no_record", "record_stages")
+EXCLUDED = {
+    "config": "--config",
+    **FLOCK_OPTIONS,
+    "output": "--output",
+    "force": "--force",
+    "no_record": "--no-record",
+    "record_stages": "--record-stages",
+}
 """Options of `fly` that a flight which is resumed has been given already."""
 
 
@@ -32,11 +39,11 @@ def resumable(run: Path, options: argparse.Namespace) -> Resumable:
 
     Raises FlockError where it is no flight, or other options say what to fly.
     """
-    for name in EXCLUDED:
+    for name, option in EXCLUDED.items():
         if getattr(options, name):
             raise FlockError(
-                f"--{name.replace('_', '-')} and --resume exclude each other: what is flown, and "
-                f"where to, stands in {run}"
+                f"{option} and --resume exclude each other: what is flown, and where to, stands in "
+                f"{run}"
             )
     try:
         with Run(run) as flown:

@@ -13,7 +13,6 @@ checkpoint of that epoch and goes on from there. That is how a flight begins, to
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from enum import Enum
 
 import numpy as np
@@ -259,6 +258,10 @@ class BirdProtocol:
         """Whether a checkpoint can be one of this flight."""
         configuration = self._configuration
         size = len(checkpoint.position)
+        try:
+            self._pushes_of(checkpoint)
+        except FlockError:
+            return False
         return (
             size == len(checkpoint.speed)
             and size in (0, configuration.birds * self._members)
@@ -278,9 +281,7 @@ class BirdProtocol:
         ):
             return []
         self._flying = True
-        self._pushes = self._pushes_among(
-            perturbations(self._configuration, checkpoint.perturbations)
-        )
+        self._pushes = self._pushes_of(checkpoint)
         self._tick = STAGES * checkpoint.step
         if len(checkpoint.position):
             self._start = checkpoint.step
@@ -299,10 +300,20 @@ class BirdProtocol:
         out = [self._stage()]
         return out if self._inbox.lacking else out + self._advance()
 
-    def _pushes_among(self, all_pushes: Iterable[Perturbation]) -> dict[int, list[Perturbation]]:
-        """Return the pushes that are for this bird, by step, in their order."""
+    def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:
+        """Return the pushes that are for this bird, by step, in their order.
+
+        Raises FlockError where the checkpoint asks for what the flight has not.
+        """
+        configuration = self._configuration
+        live = perturbations(
+            checkpoint.perturbations.split(),
+            configuration.birds,
+            configuration.members,
+            configuration.steps,
+        )
         pushes: dict[int, list[Perturbation]] = {}
-        for push in all_pushes:
+        for push in (*configuration.pushes, *live):
             if push.bird == self.bird:
                 pushes.setdefault(push.step, []).append(push)
         return pushes
@@ -310,8 +321,7 @@ class BirdProtocol:
     def _push(self, step: int) -> bool:
         """Apply the perturbations at the beginning of `step`; return whether there are any."""
         for push in self._pushes.get(step, []):
-            self._work[POSITION, push.member - 1] += push.position
-            self._work[SPEED, push.member - 1] += push.speed
+            push.push(self._work[POSITION], self._work[SPEED])
         return step in self._pushes
 
     def _stage(self) -> Outgoing:

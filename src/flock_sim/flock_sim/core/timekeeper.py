@@ -14,10 +14,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Time
+from flock_sim.core.messages import Checkpoint, Grant, Progress, Push, Time
+from flock_sim.core.perturbation import Perturbation
 from flock_sim.core.stage_inbox import FOREIGN, REACH, REPEATED, STALE
 from flock_sim.core.terms import terms
 from flock_sim.core.topics import RECORDER, bird_name, steps_ahead
+from flock_sim.errors import FlockError
 
 ABSENT = -2
 """The step of somebody who has not been heard of. -1 is a bird that is there and has not heard its
@@ -25,7 +27,7 @@ neighbours, or a recorder that is there and has recorded nothing."""
 
 UNKNOWN = "from nobody of this flock"
 
-Message = Grant | Time | Checkpoint
+Message = Grant | Time | Checkpoint | Push
 
 
 def new_run_id() -> int:
@@ -221,6 +223,37 @@ class Timekeeper:
         start = self._granted if self._pause_at is None else self._pause_at
         self._pause_at = start + count
         return self._grants() if self.begun else []
+
+    def perturb(
+        self, bird: int, member: int, step: int, position: float, speed: float
+    ) -> tuple[int, list[Message]]:
+        """Push a bird (of member 0: all of them) at `step`, or as soon as can be if that is 0.
+
+        Returns the step, and the messages that begin the epoch in which it is flown. Raises
+        FlockError where it can't be.
+        """
+        configuration = self._configuration
+        if not self._record:
+            raise FlockError("nothing is recorded, so a push would be forgotten: fly with a recorder")
+        if not self.begun:
+            raise FlockError("the flock is not flying yet, or again: ask once more when it is")
+        soonest = self._granted + 1
+        step = step or soonest
+        if step < soonest:
+            raise FlockError(
+                f"step = {step}: must be {soonest} or more, since birds have leave to fly up to "
+                f"{self._granted}; or 0 for as soon as can be"
+            )
+        members = [member] if member else range(1, configuration.members + 1)
+        pushes = [Perturbation(step, bird, m, position, speed) for m in members]
+        for push in pushes:
+            push.check(configuration.birds, configuration.members, self.end)
+        # By the number of the epoch that it begins, it is told from those of any clock before.
+        numbered = list(enumerate(pushes, start=self.epoch + 1))
+        self.epoch += len(pushes) - 1
+        self._perturbation = self.epoch + 1
+        asked: list[Message] = [Push.of(self.run_id, number, push) for number, push in numbered]
+        return step, asked + self.rewind()
 
     def stop(self) -> list[Message]:
         """End the run where leave ends."""

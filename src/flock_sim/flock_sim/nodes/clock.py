@@ -12,7 +12,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import Checkpoint, Grant, Progress
+from flock_interfaces.msg import Checkpoint, Grant, Perturbation, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.core.terms import run_id_of
@@ -54,6 +54,9 @@ class ClockNode(Node):
             messages.Time: self.create_publisher(Clock, topics.CLOCK_TOPIC, latched(depth)),
             messages.Checkpoint: self.create_publisher(
                 Checkpoint, topics.CHECKPOINT_TOPIC, latched(1)
+            ),
+            messages.Push: self.create_publisher(
+                Perturbation, topics.PERTURBATION_TOPIC, latched(topics.PERTURBATION_DEPTH)
             ),
         }
         self.create_subscription(Progress, topics.PROGRESS_TOPIC, self._hear, ALL, raw=True)

@@ -49,4 +49,4 @@ class Diagnostics:
 
 def ignored(counts: Counter[str]) -> dict[str, object]:
     """Return counts of ignored messages as values to report."""
-    return {"ignored": counts.total()} | {f"ignored, {why}": n for why, n in counts.items()}
+    return {"ignored": counts.total(), **{f"ignored, {why}": n for why, n in counts.items()}}

@@ -16,7 +16,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Progress
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Perturbation, Progress
 from flock_sim.bag.output import claim_output
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
@@ -89,6 +89,8 @@ class RecorderNode(DrainedNode):
         self._checkpoint = self.create_publisher(Checkpoint, topics.CHECKPOINT_TOPIC, latched(1))
         self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
         self._times = self.subscribe_drained(Clock, topics.CLOCK_TOPIC)
+        self._perturbations = self.subscribe_drained(Perturbation, topics.PERTURBATION_TOPIC)
+        self._wanted = 0  # number of the last perturbation that this epoch is to know
         self._complaints = Complaints(self.get_name(), self.ledger.ignored_for)
         self._diagnostics = Diagnostics(self)
         birds = range(1, configuration.birds + 1)
@@ -110,6 +112,9 @@ class RecorderNode(DrainedNode):
         while (data := self._grants.take()) is not None:
             moved = True
             self._hear_grant(data)
+        while (data := self._perturbations.take()) is not None:
+            moved = True
+            self._hear_perturbation(data)
         if not self._joined:
             self._join()
             return moved  # what is latched can wait until it is known whose it must be
@@ -153,7 +158,7 @@ class RecorderNode(DrainedNode):
         if self._epoch == NEVER:
             return "the clock's first grant"
         if not self._joined:
-            return ", ".join(self._unfound())
+            return ", ".join(self._unfound()) or "the clock's perturbation"
         if self.ledger.complete:
             return "the clock's word that the run is over"
         names = [topics.bird_name(bird) for bird in self.ledger.waiting_for]
@@ -186,6 +191,7 @@ class RecorderNode(DrainedNode):
     def _begin(self, grant: messages.Grant) -> None:
         """Begin an epoch: what is complete goes on disk, what is not comes again."""
         self._run_id, self._epoch = grant.run_id, grant.epoch
+        self._wanted = grant.perturbation
         if not self.ledger.complete:
             self._save()
         self.ledger.begin(self._run_id, self._epoch)
@@ -197,22 +203,38 @@ class RecorderNode(DrainedNode):
 
         A bird that ends would otherwise take along what it had latched for us.
         """
-        if self._epoch != NEVER and (self.ledger.complete or not self._unfound()):
+        told = self._wanted in (0, *self._run.live)
+        if self._epoch != NEVER and told and (self.ledger.complete or not self._unfound()):
             self._joined = True
             self._checkpoint.publish(self._where().encode())
             self._tell(self._run.saved)
 
+    def _hear_perturbation(self, data: bytes) -> None:
+        """Put on disk a push that was asked for in flight."""
+        try:
+            push = messages.Push.decode(data)
+        except ValueError:
+            self.ledger.ignored_for[MALFORMED] += 1
+            return
+        if push.run_id != self._run_id:
+            self.ledger.ignored_for[FOREIGN] += 1
+        elif push.number not in self._run.live and not self.ledger.complete:
+            self._run.write_perturbation(push)
+            self._save()
+
     def _where(self) -> messages.Checkpoint:
         """Return the checkpoint of this epoch: the last row on disk."""
         states = [messages.State.decode(data) for data in self._run.checkpoint]
+        pushes = " ".join(str(push) for push in self._run.live.values())
         if not states:
-            return messages.Checkpoint.of_start(self._run_id, self._epoch)
+            return messages.Checkpoint.of_start(self._run_id, self._epoch, pushes)
         return messages.Checkpoint(
             self._run_id,
             self._run.saved,
             self._epoch,
             np.concatenate([state.position for state in states]),
             np.concatenate([state.speed for state in states]),
+            pushes,
         )
 
     def _unfound(self) -> list[str]:
