@@ -144,6 +144,15 @@ def test_pushes_at_one_step_are_added_in_their_order() -> None:
     assert other.position[0].tolist() == [0.0, 0.0, 0.0]
 
 
+def test_pushes_asked_for_in_flight_are_added_last_at_their_step() -> None:
+    # 0.5 is lost in 1e20 where it comes first, and left where it comes last.
+    far = [Perturbation(0, 1, 1, change, 0.0) for change in (1e20, -1e20)]
+    near = Perturbation(0, 1, 1, 0.5, 0.0)
+    for configured, live, left in ((far, [near], 0.5), ([near], far, 0.0)):
+        configuration = replace(FLOWN, perturbations=tuple(map(str, configured)))
+        assert Monolith(configuration, live=live).position[0, 0] == left
+
+
 @given(step=st.integers(0, STEPS), bird=st.integers(1, BIRDS), zero=st.sampled_from(["0", "-0"]))
 def test_a_push_of_zero_changes_no_bit(step: int, bird: int, zero: str) -> None:
     pushed = replace(FLOWN, perturbations=(f"{bird}@{step}={zero},{zero}",))
