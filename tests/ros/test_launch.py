@@ -7,13 +7,14 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from flock_sim.launch_arguments import ARGUMENTS, PROCESSES
-from terminal import Job, Terminal
+from terminal import Job, Terminal, own_domain
 
 pytest.importorskip("ros2launch", reason="ros2 launch is not installed")
 pytest.importorskip("launch_ros", reason="launch_ros is not installed")
@@ -69,7 +70,8 @@ def test_a_launch_file_has_the_arguments_that_are_documented(file: str, known: A
     assert declared == known
 
 
-def flight_of_one() -> Any:
+@pytest.fixture
+def flight_of_one(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A flight whose three nodes are there, and of which nothing runs."""
     from launch import LaunchContext
 
@@ -78,25 +80,31 @@ def flight_of_one() -> Any:
     context = LaunchContext(argv=["birds:=1"])
     context.launch_configurations.update({name: given for name, (given, _) in ARGUMENTS.items()})
     context.launch_configurations["birds"] = "1"
-    flight = Flight(context, ARGUMENTS)
-    assert len([flight.clock(), *flight.recorder(), flight.birds([1])]) == 3
-    return flight
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with own_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        flight = Flight(context, ARGUMENTS)
+        assert len([flight.clock(), *flight.recorder(), flight.birds([1])]) == 3
+        with flight.held:
+            yield flight
 
 
-def test_a_launch_ends_when_the_last_has_ended_well() -> None:
+def test_a_launch_ends_when_the_last_has_ended_well(flight_of_one: Any) -> None:
     from launch.actions import EmitEvent
 
-    flight = flight_of_one()
+    flight = flight_of_one
     assert flight.ended("bird_01", 0) == []
     assert flight.ended("clock", 0) == []
     (end,) = flight.ended("recorder", 0)
     assert isinstance(end, EmitEvent)
 
 
-def test_what_dies_when_all_is_on_disk_is_not_needed_nor_waited_for_for_ever() -> None:
+def test_what_dies_when_all_is_on_disk_is_not_needed_nor_waited_for_for_ever(
+    flight_of_one: Any,
+) -> None:
     from launch.actions import EmitEvent, TimerAction
 
-    flight = flight_of_one()
+    flight = flight_of_one
     (later,) = flight.ended("recorder", 0)
     assert isinstance(later, TimerAction)
     assert flight.ended("clock", -signal.SIGKILL) == []
@@ -105,10 +113,10 @@ def test_what_dies_when_all_is_on_disk_is_not_needed_nor_waited_for_for_ever() -
 
 
 @pytest.mark.parametrize("status", [-signal.SIGKILL, -signal.SIGSEGV, 128 + signal.SIGTERM])
-def test_what_dies_is_started_again_as_often_as_it_dies(status: int) -> None:
+def test_what_dies_is_started_again_as_often_as_it_dies(flight_of_one: Any, status: int) -> None:
     from launch_ros.actions import Node
 
-    flight = flight_of_one()
+    flight = flight_of_one
     for who in ("bird_01", "clock", "recorder") * 2:
         _said, again = flight.ended(who, status)
         assert isinstance(again, Node)
@@ -209,6 +217,18 @@ def test_a_wrong_argument_is_refused_before_anything_starts(
     assert "Traceback" not in done.stdout + done.stderr
     assert "process started" not in done.stdout
     assert list(terminal.directory.iterdir()) == []
+
+
+def test_two_launches_do_not_share_a_domain(terminal: Terminal, flock: Path) -> None:
+    told = ("birds:=2", "config:=flock.yaml", "record:=false")
+    one = launch(terminal, "flock.launch.py", *told)
+    one.until(lambda: started(one, "clock"))
+    other = launch(terminal, "flock.launch.py", *told).wait()
+    assert other.status == 1
+    said = other.stdout + other.stderr
+    assert f"ROS_DOMAIN_ID = {terminal.environment['ROS_DOMAIN_ID']}: another flight" in said
+    assert "process started" not in said
+    assert one.wait().status == 0
 
 
 def test_ctrl_c_ends_a_launch_in_order(terminal: Terminal, flock: Path) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 
 from launch import LaunchContext
 from launch.action import Action
@@ -15,6 +16,7 @@ from launch_ros.actions import Node
 
 from flock_sim.core.timekeeper import new_run_id
 from flock_sim.core.topics import RECORDER, bird_name
+from flock_sim.discovery import own_domain, prepare_discovery
 from flock_sim.errors import RunFailed
 from flock_sim.launch_arguments import Arguments, refuse_others
 
@@ -41,6 +43,8 @@ def declare(arguments: Mapping[str, tuple[str, str]]) -> list[Action]:
 class Flight:
     """The nodes of one flight, and the rules for their ends.
 
+    They have a ROS domain of their own for as long as `held` is open, as those of `fly` have.
+
     One that dies is started again; one that ended well is not. One that refuses what it was given,
     or fails, ends the launch, and so does the end of the flight.
     """
@@ -50,6 +54,10 @@ class Flight:
         refuse_others(context.argv, list(known))
         given = context.launch_configurations
         self.arguments = Arguments.read({name: given[name] for name in known})
+        # The run id keeps birds apart, but what is recorded does not tell whose it is.
+        prepare_discovery()
+        self.held = ExitStack()
+        self.held.enter_context(own_domain())
         self._run_id = new_run_id()
         # Which ends well when all is on disk, or flown: nobody is needed after that.
         self._last = RECORDER if self.arguments.record else CLOCK
