@@ -57,7 +57,8 @@ def test_every_topic_has_who_should_send_and_hear_it(context: Context, tmp_path:
     neighbours = {"bird_01": {"bird_02"}, "bird_02": {"bird_01", "bird_03"}, "bird_03": {"bird_02"}}
     expected = {
         "/clock": ({"clock"}, {"recorder"}),
-        "/flock/clock/grant": ({"clock"}, {"recorder", *BIRDS}),
+        "/flock/clock/grant": ({"clock"}, {"clock", "recorder", *BIRDS}),
+        "/flock/checkpoint": ({"clock", "recorder"}, set(BIRDS)),
         "/flock/progress": ({"recorder", *BIRDS}, {"clock"}),
     }
     for bird in BIRDS:
@@ -100,7 +101,7 @@ def test_a_drained_subscription_is_hidden_from_executors_and_taken_by_hand(
     served: list[Progress] = []
     node = DrainedNode("listener", context=context)
     sender = Node("sender", context=context)
-    inlet = node.subscribe_drained(Progress, "drained", 10)
+    inlet = node.subscribe_drained(Progress, "drained")
     node.create_subscription(Progress, "served", served.append, latched(10))
     assert [s.topic_name for s in node.subscriptions] == ["/served"]
 
@@ -134,6 +135,8 @@ def test_queues_are_as_deep_as_what_may_be_under_way() -> None:
     assert topics.depth(topics.state_topic(1), CONFIGURATION) >= 2
     assert topics.depth(topics.wing_topic(1), CONFIGURATION) == 1
     assert topics.depth(topics.PROGRESS_TOPIC, CONFIGURATION) == 1
+    assert topics.depth(topics.CHECKPOINT_TOPIC, CONFIGURATION) == 1
+    assert topics.depth(topics.GRANT_TOPIC, CONFIGURATION) == 1
 
 
 @pytest.mark.parametrize("kind", ["events", "single"])

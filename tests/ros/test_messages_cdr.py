@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Grant, Perturbation, Progress
+from flock_interfaces.msg import (
+    BirdStage,
+    BirdState,
+    BirdWing,
+    Checkpoint,
+    Grant,
+    Perturbation,
+    Progress,
+)
 from flock_sim.core import messages
 from flock_sim.core.stage_message import stage_bytes, stage_header, stage_numbers, stage_words
 
@@ -37,11 +45,16 @@ FIELDS = {
         BirdState,
         [
             "header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "step", "time",
-            "position", "speed", "circulation", "interaction_drag",
+            "position", "speed", "circulation", "interaction_drag", "run_id", "epoch",
         ],
     ),
-    messages.Grant: (Grant, ["run_id", "step", "end", "dt", "epoch"]),
-    messages.Progress: (Progress, ["run_id", "step", "epoch", "who"]),
+    messages.Grant: (
+        Grant, ["run_id", "step", "end", "dt", "epoch", "terms", "perturbation"],
+    ),
+    messages.Progress: (Progress, ["run_id", "step", "epoch", "who", "life"]),
+    messages.Checkpoint: (
+        Checkpoint, ["run_id", "step", "epoch", "position", "speed", "perturbations"],
+    ),
     messages.Push: (
         Perturbation, ["run_id", "step", "position", "speed", "number", "bird", "member"],
     ),

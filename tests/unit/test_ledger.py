@@ -3,33 +3,47 @@
 
 from __future__ import annotations
 
+import struct
+from dataclasses import replace
 from random import Random
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.messages import Time
+from flock_sim.core.messages import State, Time
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.runge_kutta import STAGES
+from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, STALE
 from flock_sim.core.stage_message import HEADER, stage_bytes, stage_words
 from flock_sim.reference import row
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=11.0, record_every=4)
 BIRDS = range(1, 4)
 STEPS = (0, 4, 8)
+RUN, EPOCH = 7, 3
 
 Letter = tuple[str, int, bytes]
 
 
 def stage(bird: int, step: int, number: int) -> bytes:
-    import numpy as np
-
     data = stage_bytes(np.zeros(stage_words(1)), 1)
-    HEADER.pack_into(data, 4, 7, step, 1, bird, number, 1)
+    HEADER.pack_into(data, 4, RUN, step, EPOCH, bird, number, 1)
     return bytes(data)
+
+
+def sent_in(state: bytes, run_id: int, epoch: int) -> bytes:
+    """A state of a bag as it travelled in a run."""
+    return replace(State.decode(state), run_id=run_id, epoch=epoch).encode()
+
+
+def new_ledger(stages: bool = False, saved: int = -1) -> Ledger:
+    ledger = Ledger(CONFIGURATION, stages, saved)
+    ledger.begin(RUN, EPOCH)
+    return ledger
 
 
 def letters(stages: bool) -> list[Letter]:
@@ -38,7 +52,10 @@ def letters(stages: bool) -> list[Letter]:
     for recorded in Monolith(CONFIGURATION).fly():
         of = row(CONFIGURATION, recorded)
         sent += [("wing", bird, data) for bird, data in enumerate(of.wings, start=1)]
-        sent += [("state", bird, data) for bird, data in enumerate(of.states, start=1)]
+        sent += [
+            ("state", bird, sent_in(data, RUN, EPOCH))
+            for bird, data in enumerate(of.states, start=1)
+        ]
         sent.append(("time", 0, of.time))
     if stages:
         ticks = [(step, number) for step in range(11) for number in range(STAGES)]
@@ -76,7 +93,7 @@ def test_rows_leave_in_order_whole_and_once_whatever_order_messages_come_in(
     sent = letters(stages)
     sent += random.choices(sent, k=again)
     random.shuffle(sent)
-    ledger = Ledger(CONFIGURATION, stages)
+    ledger = new_ledger(stages)
     rows = [out for letter in sent for out in give(ledger, letter)]
     assert rows == expected(stages)
     assert ledger.complete
@@ -88,7 +105,7 @@ def test_a_row_waits_for_the_last_of_its_messages(stages: bool) -> None:
     sent = letters(stages)
     due = [letter for letter in sent if letter[0] != "stage" or letter[2] in stages_due()]
     for held in due:
-        ledger = Ledger(CONFIGURATION, stages)
+        ledger = new_ledger(stages)
         before = [out for letter in sent if letter is not held for out in give(ledger, letter)]
         assert len(before) < len(STEPS), held
         assert not ledger.complete
@@ -103,7 +120,7 @@ def stages_due() -> set[bytes]:
 
 
 def test_what_is_saved_is_the_last_row_that_left() -> None:
-    ledger = Ledger(CONFIGURATION)
+    ledger = new_ledger()
     assert (ledger.saved, ledger.waiting_for) == (-1, [1, 2, 3])
     saved = []
     for letter in letters(stages=False):
@@ -114,7 +131,7 @@ def test_what_is_saved_is_the_last_row_that_left() -> None:
 
 
 def test_the_birds_that_are_waited_for_are_those_whose_state_or_wing_is_missing() -> None:
-    ledger = Ledger(CONFIGURATION)
+    ledger = new_ledger()
     sent = letters(stages=False)
     for letter in sent:
         if letter[:2] not in (("wing", 2), ("state", 3)):
@@ -123,7 +140,7 @@ def test_the_birds_that_are_waited_for_are_those_whose_state_or_wing_is_missing(
 
 
 def test_what_is_not_due_is_counted_and_left_out() -> None:
-    ledger = Ledger(CONFIGURATION)
+    ledger = new_ledger()
     sent = letters(stages=False)
     rows = [out for letter in sent for out in give(ledger, letter)]
     assert ledger.ignored == 0
@@ -137,7 +154,7 @@ def test_what_is_not_due_is_counted_and_left_out() -> None:
 
 
 def test_a_first_wing_is_not_replaced() -> None:
-    ledger = Ledger(CONFIGURATION)
+    ledger = new_ledger()
     for bird in BIRDS:
         ledger.add_wing(bird, b"first")
         ledger.add_wing(bird, b"second")
@@ -148,24 +165,79 @@ def test_a_first_wing_is_not_replaced() -> None:
 def test_memory_does_not_grow_with_the_flight() -> None:
     configuration = FlockConfiguration(birds=3, t_max=2000.0, record_every=1)
     ledger = Ledger(configuration)
+    ledger.begin(RUN, EPOCH)
     for recorded in Monolith(configuration).fly():
         of = row(configuration, recorded)
         for bird in BIRDS:
             if of.wings:
                 ledger.add_wing(bird, of.wings[bird - 1])
-            ledger.add_state(bird, of.states[bird - 1])
+            ledger.add_state(bird, sent_in(of.states[bird - 1], RUN, EPOCH))
         assert len(ledger.add_time(of.time)) == 1
         assert len(ledger._rows) <= 1
 
 
 def test_a_first_state_is_not_replaced_while_its_row_is_incomplete() -> None:
-    ledger = Ledger(CONFIGURATION)
+    ledger = new_ledger()
     sent = letters(stages=False)
     states = [data for kind, bird, data in sent if (kind, bird) == ("state", 1)]
     ledger.add_state(1, states[0])
     other = bytearray(states[0])
-    other[-1] ^= 1
+    other[-40] ^= 1  # a digit, and neither run nor epoch
     assert ledger.add_state(1, bytes(other)) == []
     assert ledger.ignored == 1
     rows = [out for letter in sent for out in give(ledger, letter)]
     assert rows == expected(stages=False)
+
+
+@pytest.mark.parametrize("stages", [False, True])
+@given(seed=st.integers(0, 2**32), cut=st.integers(0, 100), saved=st.booleans())
+def test_a_new_epoch_takes_nothing_of_the_old_one(
+    stages: bool, seed: int, cut: int, saved: bool
+) -> None:
+    # Whatever had come of the rows that are not complete comes again, and only that counts.
+    random = Random(seed)
+    ledger = new_ledger(stages)
+    sent = letters(stages)
+    random.shuffle(sent)
+    rows = [out for letter in sent[:cut] for out in give(ledger, letter)]
+    old = [letter for letter in sent if letter[0] in ("state", "stage")]
+    if saved and rows:  # the recorder died too: what had left the ledger is on disk
+        ledger = Ledger(CONFIGURATION, stages, rows[-1].step)
+    ledger.begin(RUN, EPOCH + 1)
+    for letter in random.sample(old, k=min(5, len(old))):
+        assert give(ledger, letter) == []
+    assert ledger.ignored_for[STALE] == min(5, len(old))
+    new = []
+    for kind, bird, data in letters(stages):
+        fresh = bytearray(data)
+        if kind == "state":
+            struct.pack_into("<I", fresh, len(data) - 4, EPOCH + 1)
+        elif kind == "stage":
+            struct.pack_into("<I", fresh, 20, EPOCH + 1)
+        new.append((kind, bird, bytes(fresh)))
+    random.shuffle(new)
+    rows += [out for letter in new for out in give(ledger, letter)]
+    assert [(row.step, row.time, row.states) for row in rows] == [
+        (row.step, row.time, row.states) for row in expected(stages)
+    ]
+    assert rows[0].wings == expected(stages)[0].wings
+    assert ledger.complete
+
+
+def test_a_row_is_of_one_run_and_epoch_and_says_so_no_more() -> None:
+    ledger = new_ledger()
+    (state,) = [k[2] for k in letters(stages=False) if k[:2] == ("state", 1)][:1]
+    for run_id, epoch in ((RUN + 1, EPOCH), (0, 0), (RUN, EPOCH - 1), (RUN, EPOCH + 1)):
+        assert ledger.add_state(1, sent_in(state, run_id, epoch)) == []
+    assert ledger.ignored_for == {FOREIGN: 2, STALE: 2}
+    assert ledger.add_state(1, state[:-1]) == ledger.add_state(1, state + b"0") == []
+    assert ledger.ignored_for[MISSHAPEN] == 2
+    assert ledger.waiting_for == [1, 2, 3]
+
+
+def test_a_run_that_is_stopped_has_no_rows_beyond() -> None:
+    ledger = new_ledger()
+    ledger.end_at(7)
+    rows = [out for letter in letters(stages=False) for out in give(ledger, letter)]
+    assert rows == expected(stages=False)[:2]
+    assert ledger.complete

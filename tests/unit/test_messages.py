@@ -12,7 +12,18 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import FRAME, Grant, Message, Progress, Push, Stage, State, Time, Wing
+from flock_sim.core.messages import (
+    FRAME,
+    Checkpoint,
+    Grant,
+    Message,
+    Progress,
+    Push,
+    Stage,
+    State,
+    Time,
+    Wing,
+)
 from flock_sim.core.perturbation import Perturbation
 
 whole32, whole64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
@@ -26,10 +37,19 @@ MESSAGES = {
     Wing: st.builds(Wing, whole64, whole32, numbers),
     Stage: st.builds(Stage, whole64, whole64, whole32, whole32, octet, numbers, numbers, numbers),
     State: st.builds(
-        State, signed32, whole32, text, whole64, real, numbers, numbers, numbers, numbers
+        State,
+        signed32,
+        whole32,
+        text,
+        whole64,
+        real,
+        *4 * [numbers],
+        whole64,
+        whole32,
     ),
-    Grant: st.builds(Grant, whole64, whole64, whole64, real, whole32),
-    Progress: st.builds(Progress, whole64, signed64, whole32, text),
+    Grant: st.builds(Grant, whole64, whole64, whole64, real, whole32, text, whole64),
+    Progress: st.builds(Progress, whole64, signed64, whole32, text, whole64),
+    Checkpoint: st.builds(Checkpoint, whole64, whole64, whole32, numbers, numbers, text),
     Push: st.builds(Push, whole64, whole64, real, real, whole32, whole32, whole32),
     Time: st.builds(Time, signed32, whole32),
 }
@@ -182,7 +202,17 @@ def test_layout_of_a_stage():
 
 def test_layout_of_a_state():
     message = State(
-        5, 6, "flock", 7, 0.5, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0])
+        5,
+        6,
+        "flock",
+        7,
+        0.5,
+        np.array([1.0]),
+        np.array([2.0]),
+        np.array([3.0]),
+        np.array([4.0]),
+        8,
+        9,
     )
     expected = laid_out(
         (0, "i", 5),
@@ -199,6 +229,8 @@ def test_layout_of_a_state():
         (80, "d", 3.0),
         (88, "I", 1),
         (96, "d", 4.0),
+        (104, "Q", 8),
+        (112, "I", 9),
     )
     assert message.encode() == expected
 
@@ -212,15 +244,50 @@ def test_an_empty_sequence_is_its_length_and_no_padding():
 
 
 def test_layout_of_a_grant():
-    expected = laid_out((0, "Q", 7), (8, "Q", 64), (16, "Q", 10000), (24, "d", 0.25), (32, "I", 2))
-    assert Grant(7, 64, 10000, 0.25, 2).encode() == expected
+    expected = laid_out(
+        (0, "Q", 7),
+        (8, "Q", 64),
+        (16, "Q", 10000),
+        (24, "d", 0.25),
+        (32, "I", 2),
+        (36, "I", 6),
+        (40, "6s", b"terms\0"),
+        (48, "Q", 3),
+    )
+    assert Grant(7, 64, 10000, 0.25, 2, "terms", 3).encode() == expected
 
 
 def test_layout_of_progress():
     expected = laid_out(
-        (0, "Q", 7), (8, "q", -1), (16, "I", 2), (20, "I", 8), (24, "8s", b"bird_01\0")
+        (0, "Q", 7),
+        (8, "q", -1),
+        (16, "I", 2),
+        (20, "I", 8),
+        (24, "8s", b"bird_01\0"),
+        (32, "Q", 5),
     )
-    assert Progress(7, -1, 2, "bird_01").encode() == expected
+    assert Progress(7, -1, 2, "bird_01", 5).encode() == expected
+
+
+def test_layout_of_a_checkpoint():
+    expected = laid_out(
+        (0, "Q", 7),
+        (8, "Q", 40),
+        (16, "I", 2),
+        (20, "I", 2),
+        (24, "2d", 1.0, 2.0),
+        (40, "I", 2),
+        (48, "2d", 3.0, 4.0),
+        (64, "I", 5),
+        (68, "5s", b"text\0"),
+    )
+    message = Checkpoint(7, 40, 2, np.array([1.0, 2.0]), np.array([3.0, 4.0]), "text")
+    assert message.encode() == expected
+
+
+def test_layout_of_the_checkpoint_of_a_start():
+    expected = laid_out((0, "Q", 7), (8, "Q", 0), (16, "I", 2), (20, "3I", 0, 0, 1), (32, "x"))
+    assert Checkpoint.of_start(7, 2).encode() == expected
 
 
 def test_layout_of_a_push():
@@ -260,6 +327,20 @@ def test_clock_time_splits_into_seconds_and_nanoseconds(stamp):
 def test_the_step_of_an_encoded_state_is_read_without_decoding_it(message):
     framed = replace(message, frame=FRAME)  # as all are
     assert State.step_of(framed.encode()) == message.step
+
+
+@given(message=MESSAGES[State])
+def test_run_and_epoch_of_an_encoded_state_are_read_and_taken_out_without_decoding_it(message):
+    data = message.encode()
+    assert State.envelope(data) == (message.run_id, message.epoch)
+    assert State.opened(data) == replace(message, run_id=0, epoch=0).encode()
+
+
+@pytest.mark.parametrize("members", [1, 2, 7])
+def test_the_length_of_a_state_is_known_beforehand(members):
+    some = np.ones(members)
+    state = State.at(FlockConfiguration(), 0, some, some, some, some)
+    assert len(state.encode()) == State.size(members)
 
 
 @pytest.mark.parametrize("length", [0, 4, 27, 35])

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Grant, Progress, Stage, State, Wing
-from flock_sim.core.protocol import BirdProtocol, Channel
+from flock_sim.core.messages import Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
+from flock_sim.core.stage_inbox import IMPOSSIBLE
 from flock_sim.core.stage_message import stage_header
+from flock_sim.core.terms import terms
 from flock_sim.core.timekeeper import Timekeeper
 from flock_sim.errors import FlockError
 from unit.network import EPOCH, RUN, Kind, Network, expected_states
@@ -29,6 +31,12 @@ def grant(step: int, configuration: FlockConfiguration, **changes) -> Grant:
         "epoch": EPOCH,
     }
     return Grant(**{**fields, **changes})
+
+
+def start(bird: BirdProtocol, step: int, configuration: FlockConfiguration) -> list[Outgoing]:
+    """Tell a bird that the run begins, and where; return what it says."""
+    out = bird.receive_grant(grant(step, configuration))
+    return out + bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH))
 
 
 def of(channel: Channel, out: list[tuple[Channel, bytes]]) -> list[bytes]:
@@ -127,13 +135,23 @@ def test_a_bird_says_nothing_before_the_first_grant():
     (wing,) = of(Channel.WING, other.receive_grant(grant(0, configuration)))
     assert bird.receive_wing(Wing.decode(wing)) == []
     out = bird.receive_grant(grant(0, configuration))
-    assert [channel for channel, _ in out] == [Channel.WING, Channel.PROGRESS, Channel.STAGE]
+    assert [channel for channel, _ in out] == [Channel.WING, Channel.PROGRESS]
+    out = bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH))
+    assert [channel for channel, _ in out] == [Channel.STAGE]
+
+
+def test_a_bird_waits_for_the_checkpoint_once_it_knows_its_neighbours():
+    bird, _, configuration = pair()
+    bird.receive_grant(grant(0, configuration))
+    bird.receive_wing(Wing(RUN, 2, np.ones(1)))
+    assert bird.waiting_for.startswith("the checkpoint to go on from")
+    assert not bird.in_flight
 
 
 def test_a_bird_shows_its_wing_and_waits_for_its_neighbours():
     configuration = configured(span_ratios=("2=0.9,1.1",))
     bird = BirdProtocol(2, configuration)
-    (channel, data), (_, here) = bird.receive_grant(grant(0, configuration))
+    (channel, data), (_, here) = start(bird, 0, configuration)
     assert channel is Channel.WING
     assert Progress.decode(here) == Progress(RUN, -1, EPOCH, "bird_02")
     wing = Wing.decode(data)
@@ -152,8 +170,8 @@ def test_a_bird_shows_its_wing_and_waits_for_its_neighbours():
 def test_a_stage_that_overtakes_its_senders_wing_is_kept_until_the_wing_is_here():
     # Wings and stages travel on topics of their own, and nothing orders one after the other.
     bird, other, configuration = pair()
-    (wing,) = of(Channel.WING, bird.receive_grant(grant(1, configuration)))
-    (other_wing,) = of(Channel.WING, other.receive_grant(grant(1, configuration)))
+    (wing,) = of(Channel.WING, start(bird, 1, configuration))
+    (other_wing,) = of(Channel.WING, start(other, 1, configuration))
     (stage,) = of(Channel.STAGE, other.receive_wing(Wing.decode(wing)))
     assert bird.receive_stage(stage) == []
     out = bird.receive_wing(Wing.decode(other_wing))
@@ -175,7 +193,7 @@ def test_nothing_is_taken_for_a_stage_before_the_run_is_known():
 def test_a_bird_holds_at_the_step_that_it_was_granted():
     configuration = configured(birds=1)
     bird = BirdProtocol(1, configuration)
-    bird.receive_grant(grant(0, configuration))
+    start(bird, 0, configuration)
     assert (bird.step, bird.finished) == (0, False)
     assert bird.waiting_for == "the clock's leave to go beyond step 0"
     out = bird.receive_grant(grant(5, configuration))
@@ -196,7 +214,7 @@ def test_a_bird_reports_half_way_and_where_its_leave_ends(granted, reported):
     # Half way, so that the next grant comes before it has to stop.
     configuration = configured(birds=1)
     bird = BirdProtocol(1, configuration)
-    progress = of(Channel.PROGRESS, bird.receive_grant(grant(granted, configuration)))
+    progress = of(Channel.PROGRESS, start(bird, granted, configuration))
     here, *later = (Progress.decode(data).step for data in progress)
     assert here == -1
     assert later == reported
@@ -206,7 +224,7 @@ def test_a_bird_that_waits_tells_how_far_it_has_come():
     configuration = configured(birds=2)
     bird = BirdProtocol(1, configuration, run_id=RUN)
     assert bird.report() == []
-    bird.receive_grant(grant(0, configuration))
+    start(bird, 0, configuration)
     for reached in (-1, 0):
         ((channel, data),) = bird.report()
         assert (channel, Progress.decode(data).step) == (Channel.PROGRESS, reached)
@@ -219,7 +237,10 @@ def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():
     configuration = configured(birds=1)
     keeper = Timekeeper(configuration, RUN, window=100, record=False)
     bird = BirdProtocol(1, configuration)
-    bird.receive_grant(replace(keeper.first_grant, step=configuration.steps, epoch=EPOCH))
+    for message in keeper.first_messages:
+        give = bird.receive_grant if isinstance(message, Grant) else bird.receive_checkpoint
+        give(replace(message, epoch=EPOCH))
+    bird.receive_grant(replace(keeper.grant, step=configuration.steps, epoch=EPOCH))
     assert bird.finished
     assert not bird.released
     assert bird.receive_grant(replace(keeper.release, epoch=EPOCH)) == []
@@ -230,7 +251,7 @@ def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
     configuration = configured(birds=1, t_max=100.0)
     bird = BirdProtocol(1, configuration)
-    bird.receive_grant(grant(10, configuration))
+    start(bird, 10, configuration)
     progress = of(Channel.PROGRESS, bird.receive_grant(grant(30, configuration)))
     assert [Progress.decode(data).step for data in progress] == [20, 30]
 
@@ -238,7 +259,7 @@ def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
 def test_a_stage_one_ahead_is_kept_and_two_ahead_refused():
     configuration = configured()
     middle = BirdProtocol(2, configuration)
-    middle.receive_grant(grant(8, configuration))
+    start(middle, 8, configuration)
     for other in (1, 3):
         middle.receive_wing(Wing(RUN, other, np.ones(1)))
 
@@ -261,7 +282,7 @@ def test_a_stage_one_ahead_is_kept_and_two_ahead_refused():
 def test_what_a_bird_sent_does_not_change_when_it_flies_on():
     configuration = configured(birds=1)
     bird = BirdProtocol(1, configuration)
-    first = bird.receive_grant(grant(1, configuration))
+    first = start(bird, 1, configuration)
     kept = [bytes(bytearray(data)) for _, data in first]
     bird.receive_grant(grant(8, configuration))
     assert [data for _, data in first] == kept
@@ -274,12 +295,25 @@ def test_a_clock_of_another_flight_is_refused(change):
         BirdProtocol(2, configuration).receive_grant(grant(0, configuration, **change))
 
 
-def test_a_neighbour_of_another_flock_is_refused():
+def test_a_clock_of_another_flight_is_refused_by_name():
+    # What the clock's terms say goes before dt and end.
+    configuration = configured()
+    other = configured(coupling="all", t_max=9.0)
+    with pytest.raises(FlockError, match=r'bird_02 is to fly coupling = "nearest" and not "all"'):
+        BirdProtocol(2, configuration).receive_grant(
+            grant(0, configuration, end=9, terms=terms(other))
+        )
+
+
+def test_a_neighbour_of_another_flock_is_counted_and_waited_for():
+    # It is the clock's terms that refuse it, by name; its wing may come before it hears them.
     configuration = configured()
     bird = BirdProtocol(2, configuration)
-    bird.receive_grant(grant(0, configuration))
-    with pytest.raises(FlockError, match=r"bird_01 flies 3 members and bird_02 1: give both"):
-        bird.receive_wing(Wing(RUN, 1, np.ones(3)))
+    start(bird, 0, configuration)
+    for ratio in (np.ones(3), np.empty(0), np.array([np.nan]), np.array([0.0]), np.array([-1.0])):
+        assert bird.receive_wing(Wing(RUN, 1, ratio)) == []
+    assert bird.ignored_for == {IMPOSSIBLE: 5}
+    assert bird.waiting_for == "the wing of bird_01, bird_03"
 
 
 def test_a_bird_told_its_run_waits_for_that_run():
@@ -296,7 +330,9 @@ def test_grants_and_wings_of_others_are_counted_and_change_nothing():
     bird.receive_grant(grant(0, configuration))
     strangers = [
         lambda: bird.receive_grant(grant(8, configuration, run_id=RUN + 1)),
-        lambda: bird.receive_grant(grant(8, configuration, epoch=EPOCH + 1)),
+        lambda: bird.receive_grant(grant(8, configuration, epoch=EPOCH - 1)),
+        lambda: bird.receive_checkpoint(Checkpoint.of_start(RUN + 1, EPOCH)),
+        lambda: bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH - 1)),
         lambda: bird.receive_wing(Wing(RUN + 1, 1, np.ones(1))),
         lambda: bird.receive_wing(Wing(RUN, 4, np.ones(1))),
         lambda: bird.receive_wing(Wing(RUN, 2, np.ones(1))),
