@@ -97,7 +97,7 @@ class StageInbox:
         """Take a message as it came off the wire; return why it is ignored, or nothing."""
         if len(data) == self.size:
             header = data[HEADER_AT:HEADER_END]
-            if self._at_start and not self._finite(data):
+            if self._at_start and header in self.lacking and not self._finite(data):
                 return IMPOSSIBLE
             if slot := self.lacking.pop(header, None):
                 slot[1][:] = data
