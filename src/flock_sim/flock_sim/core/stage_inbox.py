@@ -51,7 +51,7 @@ class StageInbox:
         # neighbour and the room for it.
         self.lacking: dict[bytes, tuple[int, memoryview]] = {}
         self._next: dict[bytes, tuple[int, memoryview]] = {}
-        self._early: dict[bytes, bytes] = {}
+        self._early: dict[int, dict[bytes, bytes]] = {other: {} for other in neighbours}
         self._slots = [
             [
                 (other, stage_bytes(self.heard[side, k], members))
@@ -71,6 +71,7 @@ class StageInbox:
         self._run_id, self._epoch = run_id, epoch
         self.lacking, self._next = {}, {}
         self._tick = NEVER
+        self._forget_early(epoch - 1)
 
     def open(self, tick: int) -> None:
         """Begin the epoch at `tick` = 4 step + stage, and take what has come for it already.
@@ -80,13 +81,10 @@ class StageInbox:
         self._tick = tick
         self._at_start = tick == 0
         self.lacking, self._next = self._expected(tick), self._expected(tick + 1)
-        for header in self.lacking.keys() & self._early.keys():
-            self.take(self._early.pop(header))
-        self._early = {
-            header: data
-            for header, data in self._early.items()
-            if self._epoch_of(data) > self._epoch
-        }
+        for early in self._early.values():
+            for header in self.lacking.keys() & early.keys():
+                self.take(early[header])
+        self._forget_early(self._epoch)
 
     def turn(self, tick: int) -> None:
         """Go on to `tick`, the next one: what has come for it is there."""
@@ -111,8 +109,8 @@ class StageInbox:
         """Return why a message is for neither slot; keep it where it is for later."""
         if len(data) != self.size:
             return MISSHAPEN
-        run_id, _, epoch, bird, stage, members = stage_header(data)
-        if run_id != self._run_id or self._epoch == NEVER:
+        run_id, step, epoch, bird, stage, members = stage_header(data)
+        if run_id == 0 or (self._epoch != NEVER and run_id != self._run_id):
             return FOREIGN
         if bird not in self._neighbours:
             return STRANGE
@@ -121,13 +119,26 @@ class StageInbox:
         if epoch < self._epoch:
             return STALE
         early = epoch > self._epoch or self._tick == NEVER
-        header = data[HEADER_AT:HEADER_END]
-        if not early or stage != 0 or epoch > self._epoch + REACH or header in self._early:
+        believed = self._epoch == NEVER or epoch <= self._epoch + REACH
+        header, kept = data[HEADER_AT:HEADER_END], self._early[bird]
+        if not early or stage != 0 or not believed or header in kept:
             return REPEATED
-        if len(self._early) >= EARLY * len(self._neighbours):
-            del self._early[next(iter(self._early))]
-        self._early[header] = data
-        return ""
+        if step == 0 and not self._finite(data):
+            return IMPOSSIBLE
+        kept[header] = data
+        if len(kept) <= EARLY:
+            return ""
+        del kept[next(iter(kept))]  # the oldest, which now is the one that is ignored
+        return REPEATED
+
+    def _forget_early(self, epoch: int) -> None:
+        """Forget what is kept of other runs, and of epochs up to `epoch`."""
+        for other, kept in self._early.items():
+            self._early[other] = {
+                header: data
+                for header, data in kept.items()
+                if self._run_of(data) == self._run_id and self._epoch_of(data) > epoch
+            }
 
     def _expected(self, tick: int) -> dict[bytes, tuple[int, memoryview]]:
         """Return the headers of all neighbours' messages of `tick`."""
@@ -140,6 +151,10 @@ class StageInbox:
 
     def _finite(self, data: bytes) -> bool:
         return bool(np.isfinite(np.frombuffer(data, offset=HEADER_END)).all())
+
+    @staticmethod
+    def _run_of(data: bytes) -> int:
+        return stage_header(data)[0]
 
     @staticmethod
     def _epoch_of(data: bytes) -> int:

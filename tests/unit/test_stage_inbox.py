@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is for this stage, or the next one, or for an epoch to come, is kept; all else is told apart."""
+
+import numpy as np
+import pytest
+
+from flock_sim.core.messages import Stage
+from flock_sim.core.stage_inbox import (
+    EARLY,
+    FOREIGN,
+    IMPOSSIBLE,
+    MISSHAPEN,
+    REACH,
+    REPEATED,
+    STALE,
+    STRANGE,
+    StageInbox,
+)
+
+RUN, EPOCH = 7, 3
+
+
+def stage(bird: int, tick: int, epoch: int = EPOCH, run_id: int = RUN, speed: float = 1.0) -> bytes:
+    one = np.ones(1)
+    step, number = divmod(tick, 4)
+    return Stage(run_id, step, epoch, bird, number, one, np.array([speed]), one).encode()
+
+
+def inbox(tick: int | None = None) -> StageInbox:
+    """The inbox of bird 2 between birds 1 and 3, open at `tick`, or waiting for EPOCH to begin."""
+    made = StageInbox([1, 3], members=1)
+    made.close(RUN, EPOCH)
+    if tick is not None:
+        made.open(tick)
+    return made
+
+
+def lacking(box: StageInbox) -> list[int]:
+    return [bird for bird, _ in box.lacking.values()]
+
+
+@pytest.mark.parametrize("speed", [np.nan, np.inf, -np.inf])
+def test_at_the_start_nobody_is_anywhere_but_at_a_number(speed: float) -> None:
+    box = inbox(tick=0)
+    assert box.take(stage(1, 0, speed=speed)) == IMPOSSIBLE
+    assert box.take(stage(1, 0)) == ""
+    assert lacking(box) == [3]
+
+
+@pytest.mark.parametrize("speed", [np.nan, np.inf])
+def test_a_neighbour_a_stage_ahead_may_have_diverged_already(speed: float) -> None:
+    # It is not sent again: a bird that refused it would wait for it for ever.
+    box = inbox(tick=0)
+    assert box.take(stage(1, 0)) == box.take(stage(1, 1, speed=speed)) == ""
+    assert box.take(stage(3, 0)) == ""
+    box.turn(1)
+    assert lacking(box) == [3]
+
+
+def test_a_flight_that_diverged_is_gone_on_with() -> None:
+    box = inbox(tick=40)
+    assert box.take(stage(1, 40, speed=np.nan)) == box.take(stage(3, 40, speed=np.inf)) == ""
+    assert not box.lacking
+
+
+def test_what_no_bird_can_have_at_the_start_does_not_keep_out_what_comes() -> None:
+    box = inbox()
+    assert box.take(stage(1, 0, speed=np.nan)) == IMPOSSIBLE
+    assert box.take(stage(1, 0)) == ""
+    box.open(0)
+    assert lacking(box) == [3]
+
+
+def test_a_stage_of_an_epoch_to_come_is_there_when_it_begins() -> None:
+    box = inbox(tick=40)
+    assert box.take(stage(1, 32, epoch=EPOCH + 1)) == ""
+    assert lacking(box) == [1, 3]
+    box.close(RUN, EPOCH + 1)
+    assert box.take(stage(3, 32, epoch=EPOCH + 1)) == ""
+    box.open(32)
+    assert lacking(box) == []
+
+
+def test_a_stage_that_overtakes_the_first_grant_is_there_when_its_epoch_begins() -> None:
+    # A bird came back while the clock did: the clock does not know, and nobody says it again.
+    box = StageInbox([1, 3], members=1)
+    for run_id in (RUN + 1, RUN):
+        assert box.take(stage(1, 32, run_id=run_id)) == ""
+    box.close(RUN, EPOCH)
+    box.open(32)
+    assert lacking(box) == [3]
+
+
+def test_what_one_neighbour_said_long_ago_does_not_push_out_what_another_just_said() -> None:
+    # Bird 2 was suspended while the others began many epochs; bird 1's messages are read first.
+    box = inbox(tick=40)
+    news = EPOCH + 5 * EARLY
+    for bird in (1, 3):
+        for epoch in range(EPOCH + 1, news + 1):
+            box.take(stage(bird, 32, epoch=epoch))
+    box.close(RUN, news)
+    box.open(32)
+    assert lacking(box) == []
+
+
+def test_each_that_is_not_kept_has_its_reason() -> None:
+    box = inbox(tick=40)
+    assert box.take(stage(1, 40, run_id=RUN + 1)) == FOREIGN
+    assert box.take(stage(1, 40, run_id=0)) == FOREIGN
+    assert box.take(stage(2, 40)) == box.take(stage(4, 40)) == STRANGE
+    assert (
+        box.take(stage(1, 40)[:-1]) == box.take(stage(1, 40) + b"0") == box.take(b"") == MISSHAPEN
+    )
+    assert box.take(stage(1, 40, epoch=EPOCH - 1)) == STALE
+    assert box.take(stage(1, 39)) == box.take(stage(1, 42)) == REPEATED
+    assert box.take(stage(1, 41, epoch=EPOCH + 1)) == REPEATED  # an epoch begins with a step
+    assert box.take(stage(1, 40, epoch=EPOCH + REACH + 1)) == REPEATED
+    assert box.take(stage(1, 40, epoch=EPOCH + REACH)) == ""
+    assert lacking(box) == [1, 3]
+
+
+def test_of_all_that_comes_early_only_so_much_is_kept_and_the_rest_counted() -> None:
+    box = inbox(tick=40)
+    told = [box.take(stage(1, 40, epoch=EPOCH + 1 + k)) for k in range(1000)]
+    assert told == [""] * EARLY + [REPEATED] * (1000 - EARLY)
+    assert sum(map(len, box._early.values())) == EARLY
