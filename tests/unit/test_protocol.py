@@ -248,6 +248,29 @@ def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():
     assert bird.step == configuration.steps
 
 
+def test_a_bird_that_comes_back_when_the_run_is_over_is_not_needed():
+    # The release is the last grant there is, and so the first that it hears: nobody answers it.
+    configuration = configured()
+    keeper = Timekeeper(configuration, RUN, window=100, record=False)
+    bird = BirdProtocol(2, configuration, life=9)
+    bird.receive_grant(keeper.release)
+    assert bird.released
+    assert bird.finished
+
+
+def test_a_new_epoch_takes_back_that_the_run_is_over():
+    configuration = configured(birds=1)
+    keeper = Timekeeper(configuration, RUN, window=100, record=False, epoch=EPOCH)
+    bird = BirdProtocol(1, configuration)
+    start(bird, configuration.steps, configuration)
+    bird.receive_grant(keeper.release)
+    assert bird.released
+    keeper.rewind()
+    bird.receive_grant(keeper.grant)
+    assert not bird.released
+    assert not bird.finished
+
+
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
     configuration = configured(birds=1, t_max=100.0)
     bird = BirdProtocol(1, configuration)

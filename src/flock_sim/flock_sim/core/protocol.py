@@ -133,8 +133,8 @@ class BirdProtocol:
 
     @property
     def finished(self) -> bool:
-        """Whether the last step is reached and its state is out."""
-        return self._held and self.step >= self._end
+        """Whether the last step is reached and its state is out, or the run is over anyhow."""
+        return self.released or (self._held and self.step >= self._end)
 
     @property
     def missing(self) -> list[int]:
@@ -238,6 +238,7 @@ class BirdProtocol:
             return self.ignore(REPEATED)
         self.run_id, self._epoch = grant.run_id, grant.epoch
         self._end = grant.end
+        self.released = grant.step > grant.end
         self._flying = self._held = False
         self._reached = self._start = -1
         self._inbox.close(self.run_id, self._epoch)
