@@ -59,7 +59,7 @@ class Ledger:
         self._wings: dict[int, bytes] = {}
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every
-        self._last = configuration.steps - configuration.steps % self._every
+        self._last = self._last_due(configuration.steps)
 
     @property
     def ignored(self) -> int:
@@ -77,13 +77,17 @@ class Ledger:
         return self._next > self._last
 
     def begin(self, run_id: int, epoch: int) -> None:
-        """Expect states of a new epoch; what was gathered and is not complete comes again."""
+        """Expect states of a new epoch; what was gathered and is not complete comes again.
+
+        Where the run was to be stopped is forgotten: a new clock may not know of it.
+        """
         self._run = (run_id, epoch)
         self._rows.clear()
+        self._last = self._last_due(self._configuration.steps)
 
     def end_at(self, step: int) -> None:
         """Expect nothing after `step`: the run is to be stopped there."""
-        self._last = min(self._last, step - step % self._every)
+        self._last = min(self._last, self._last_due(step))
 
     @property
     def waiting_for(self) -> list[int]:
@@ -133,6 +137,9 @@ class Ledger:
             return self._ignore(REPEATED) if row <= self._last else []
         self._row(row).stages[STAGES * step + stage, bird] = data
         return self._complete()
+
+    def _last_due(self, end: int) -> int:
+        return end - end % self._every
 
     def _ignore(self, reason: str) -> list[Row]:
         self.ignored_for[reason] += 1
