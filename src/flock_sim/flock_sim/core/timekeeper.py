@@ -86,6 +86,7 @@ class Timekeeper:
         }
         self._record = record
         self._pause_at: int | None = None
+        self._stopping = False  # to be stopped once all are there
         self._perturbation = 0
         self._reached_before = 0  # the step that was reached when the last rewind came
         self._first: int | None = None  # the step that this clock began at
@@ -197,7 +198,7 @@ class Timekeeper:
         if not self.begun:
             return []
         self._count_steps_lost()
-        return [*self._times(), *self._grants()]
+        return [*self._times(), *(self.stop() if self._stopping else self._grants())]
 
     def rewind(self) -> list[Message]:
         """Send everybody back to what is on disk, under a new epoch."""
@@ -256,9 +257,12 @@ class Timekeeper:
         return step, asked + self.rewind()
 
     def stop(self) -> list[Message]:
-        """End the run where leave ends."""
-        self.end = max(self._granted, 0)
+        """End the run where leave ends; during a rewind: where it would go on."""
         self._pause_at = None
+        self._stopping = not self.begun
+        if self._stopping:
+            return []
+        self.end = self._granted
         return [self.grant]
 
     @property
