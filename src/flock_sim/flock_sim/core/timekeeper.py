@@ -221,8 +221,7 @@ class Timekeeper:
 
     def take_steps(self, count: int) -> list[Grant]:
         """Give leave for `count` steps more, and then pause."""
-        start = self._granted if self._pause_at is None else self._pause_at
-        self._pause_at = start + count
+        self._pause_at = max(self._granted, self._pause_at or 0) + count
         return self._grants() if self.begun else []
 
     def perturb(
