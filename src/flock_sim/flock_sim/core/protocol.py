@@ -48,6 +48,10 @@ from flock_sim.core.topics import bird_name
 from flock_sim.errors import FlockError
 
 
+EARLY = 16
+"""Checkpoints of runs not known to be ours that are kept."""
+
+
 class Channel(Enum):
     """Where a message of a bird goes."""
 
@@ -91,6 +95,7 @@ class BirdProtocol:
         self._end = configuration.steps
         self._granted = -1
         self._checkpoint: Checkpoint | None = None  # of this epoch or of one to come
+        self._early: dict[int, Checkpoint] = {}  # by run, before it is known which is ours
         self._flying = False  # in this epoch: at the checkpoint, and every wing known
         self._start = 0  # the step of the checkpoint; -1 where its state is not on disk
         self._report_at = 0
@@ -195,11 +200,18 @@ class BirdProtocol:
             return self.ignore(FOREIGN)
         if checkpoint.epoch < self._epoch:
             return self.ignore(STALE)
-        known = self._checkpoint is not None and self._checkpoint.epoch >= checkpoint.epoch
+        held = self._checkpoint if self.run_id else self._early.get(checkpoint.run_id)
+        known = held is not None and held.epoch >= checkpoint.epoch
         if known or not self._fits(checkpoint):
             return self.ignore(REPEATED if known else IMPOSSIBLE)
-        self._checkpoint = checkpoint
-        return self._begin()
+        if self.run_id:
+            self._checkpoint = checkpoint
+            return self._begin()
+        self._early[checkpoint.run_id] = checkpoint
+        if len(self._early) <= EARLY:
+            return []
+        del self._early[next(iter(self._early))]  # the oldest, which now is the one that is ignored
+        return self.ignore(FOREIGN)
 
     def receive_wing(self, wing: Wing) -> list[Outgoing]:
         """Learn the geometry of a neighbour."""
@@ -236,6 +248,9 @@ class BirdProtocol:
         first = self._epoch == NEVER
         if not first and grant.epoch > self._epoch + REACH:
             return self.ignore(REPEATED)
+        if not self.run_id:
+            self._checkpoint = self._early.get(grant.run_id)
+            self._early = {}
         self.run_id, self._epoch = grant.run_id, grant.epoch
         self._end = grant.end
         self.released = grant.step > grant.end
