@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is for this stage, or the next one, or for an epoch to come, is kept; all else is told apart."""
+"""What is for this stage, the next one or an epoch to come is kept; all else is told apart."""
 
 import numpy as np
 import pytest

@@ -47,7 +47,6 @@ from flock_sim.core.terms import agree
 from flock_sim.core.topics import bird_name
 from flock_sim.errors import FlockError
 
-
 EARLY = 16
 """Checkpoints of runs not known to be ours that are kept."""
 

@@ -34,7 +34,10 @@ def agree(who: str, configuration: FlockConfiguration, said: str) -> None:
     """
     if said == terms(configuration):
         return
-    theirs = json.loads(said)
+    try:
+        theirs = json.loads(said)
+    except RecursionError:
+        raise ValueError("terms: too deep") from None
     if not isinstance(theirs, dict):
         raise ValueError("terms: not an object")
     ours = json.loads(terms(configuration))
@@ -43,6 +46,8 @@ def agree(who: str, configuration: FlockConfiguration, said: str) -> None:
         for key in {**ours, **theirs}
         if ours.get(key) != theirs.get(key)
     ]
+    if not different:
+        return
     raise FlockError(
         f"{who} is to fly {', '.join(different)} as the clock does: "
         "give both the same configuration"
