@@ -2,8 +2,8 @@
 """Several hosts on this machine, for a test, and a network between them that loses and delays.
 
 A host has its own network, loopback included, and its own shared memory; files and processes it
-shares with all. All of it is held open by the process of the test and nothing else: when that ends,
-however it does, the kernel takes hosts, devices and shared memory away.
+shares with all. Nothing of it has a name that could be left behind: the kernel takes it away with
+the last process on the host, and the one that holds the host open ends with the test.
 """
 
 from __future__ import annotations

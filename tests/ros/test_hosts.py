@@ -20,6 +20,21 @@ STEPS = 20
 CLEAR = Weather()
 ROUGH = Weather(loss=0.05, delay=(0.010, 0.030))
 
+FEW = 4
+"""How many processes of a host that is named Fast DDS looks for, unless it is told to look on."""
+
+OTHER_NODES = """
+import sys, rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+nodes = []
+for number in range(int(sys.argv[1])):
+    rclpy.init(context=(context := Context()))
+    nodes.append(Node(f"other_{number}", context=context))
+print("up", flush=True)
+sys.stdin.read()
+"""
+
 Join = Callable[[int, Weather], tuple[list[Host], Traffic]]
 
 
@@ -76,6 +91,21 @@ def fly_as_the_reference(terminal: Terminal, hosts: Sequence[Host], birds: int) 
 
 
 @contextmanager
+def other_nodes(terminal: Terminal, host: Host) -> Iterator[None]:
+    """Have nodes on a host that are nobody's business, one for each place in FEW."""
+    command = [sys.executable, "-P", "-c", OTHER_NODES, str(FEW)]
+    with subprocess.Popen(
+        [*host.enter(terminal.directory), *command],
+        env=terminal.environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as crowd:
+        assert crowd.stdout is not None
+        assert crowd.stdout.readline() == b"up\n"
+        yield
+
+
+@contextmanager
 def discovery_server(terminal: Terminal, host: Host) -> Iterator[None]:
     """Run the discovery server of Fast DDS on a host."""
     tool = Path(sys.executable).with_name("fast-discovery-server")
@@ -104,12 +134,15 @@ def test_a_network_that_loses_delays_and_reorders_changes_no_bit(
     assert traffic.shortest >= ROUGH.delay[0]
 
 
-def test_hosts_that_are_named_find_each_other_without_multicast(
+def test_hosts_that_are_named_find_each_other_without_multicast_however_busy_they_are(
     travellers: Terminal, join: Join
 ) -> None:
     hosts, _ = join(3, Weather(multicast=False))
     travellers.environment["ROS_STATIC_PEERS"] = ";".join(host.address for host in hosts)
-    fly_as_the_reference(travellers, hosts, birds=2)
+    with ExitStack() as stack:
+        for host in hosts[1:]:
+            stack.enter_context(other_nodes(travellers, host))
+        fly_as_the_reference(travellers, hosts, birds=2)
 
 
 def test_a_discovery_server_brings_hosts_together_without_multicast(

@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from flock_sim.discovery import PROFILES, own_domain, prepare_discovery
+from flock_sim.discovery import PROFILES, TRANSPORTS, own_domain, prepare_discovery
 from flock_sim.errors import FlockError
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -13,7 +13,7 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
     """An environment that says nothing, and is as it was before once the test has ended."""
-    for name in ("ROS_DOMAIN_ID", RANGE, *PROFILES):
+    for name in ("ROS_DOMAIN_ID", RANGE, *PROFILES, TRANSPORTS):
         monkeypatch.setenv(name, "")
 
 
@@ -59,11 +59,12 @@ def test_on_a_network_losses_are_repaired_soon():
     assert int(period) < 100e6  # Fast DDS would take 3 s
 
 
-@pytest.mark.parametrize("name", PROFILES)
-def test_the_settings_of_a_user_stay(monkeypatch, name):
-    monkeypatch.setenv(name, "mine.xml")
+@pytest.mark.parametrize("name", [*PROFILES, TRANSPORTS])
+def test_what_a_user_has_told_fast_dds_stays(monkeypatch, name):
+    monkeypatch.setenv(name, "mine")
     prepare_discovery(network=True)
-    assert sorted(os.environ[name] for name in PROFILES) == ["", "mine.xml"]
+    assert {os.environ[each] for each in PROFILES if each != name} == {""}
+    assert os.environ[name] == "mine"
 
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "1.5", "²"])

@@ -27,6 +27,7 @@ NETWORK_HELP = "find, and be found by, nodes on other machines too"
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """What Fast DDS, up to version 2 and from 3 on, reads its settings from."""
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 
 
 @contextmanager
@@ -67,11 +68,11 @@ def prepare_discovery(network: bool = False) -> None:
         raise FlockError(f"{RANGE} = {reach} and --network exclude each other: leave one out")
     os.environ[RANGE] = reach
     if network:
-        _repair_losses_soon()
+        _prepare_for_network()
 
 
-def _repair_losses_soon() -> None:
-    """Give Fast DDS our settings for networks, unless the environment names some."""
-    if not any(os.environ.get(name) for name in PROFILES):
+def _prepare_for_network() -> None:
+    """Give Fast DDS our settings for networks, unless the environment has some."""
+    if not any(os.environ.get(name) for name in (*PROFILES, TRANSPORTS)):
         settings = Path(get_package_share_directory("flock_sim")) / "network.xml"
         os.environ.update(dict.fromkeys(PROFILES, str(settings)))
