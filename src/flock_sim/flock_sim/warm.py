@@ -23,8 +23,9 @@ def warm() -> None:
         pass
     alone = FlockConfiguration(birds=1, t_max=1.0)
     bird = BirdProtocol(1, alone)
-    bird.receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
+    bird.receive_grant(Grant(run_id=1, step=0, end=1, dt=1.0, epoch=1))
     bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
+    bird.receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
     bird = BirdProtocol(1, configuration, run_id=1)
     bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
     bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))

@@ -69,10 +69,11 @@ class BirdProtocol:
     Feed it what arrives; send what it returns, in order:
 
     >>> bird = BirdProtocol(1, FlockConfiguration(birds=1, t_max=2.0, record_every=1))
-    >>> out = bird.receive_grant(Grant(run_id=7, step=2, end=2, dt=1.0, epoch=1))
+    >>> out = bird.receive_grant(Grant(run_id=7, step=0, end=2, dt=1.0, epoch=1))
     >>> out += bird.receive_checkpoint(Checkpoint.of_start(run_id=7, epoch=1))
+    >>> out += bird.receive_grant(Grant(run_id=7, step=2, end=2, dt=1.0, epoch=1))
     >>> [channel.value for channel, _ in out if channel is not Channel.STAGE]
-    ['wing', 'progress', 'state', 'state', 'progress', 'state', 'progress']
+    ['wing', 'progress', 'state', 'progress', 'state', 'progress', 'state', 'progress']
     """
 
     def __init__(
