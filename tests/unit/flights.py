@@ -11,6 +11,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import Grant, State, Time, Wing
 from flock_sim.core.monolith import Monolith, Recorded
 from flock_sim.recording import recording
+from flock_sim.run import ARRAYS
 
 Change = Callable[[int, State], State | None]
 """What becomes of a bird's state on its way into the bag; None: it is left out."""
@@ -50,7 +51,7 @@ def record(
             grant = Grant(run_id, step, configuration.steps, configuration.dt, 3)
             rows.append((step, topics.GRANT_TOPIC, stamp, grant.encode()))
         for bird in birds:
-            arrays = (getattr(recorded, name)[bird - 1] for name in State.__slots__[5:])
+            arrays = (getattr(recorded, name)[bird - 1] for name in ARRAYS)
             state = change(bird, State.at(configuration, step, *arrays))
             if state is not None:
                 place = bird * (configuration.steps + 1) if bird_by_bird else step
