@@ -154,6 +154,58 @@ def test_the_reserve_grows_with_the_summary(tmp_path: Path) -> None:
     assert held >= tail + metadata
 
 
+def test_without_room_to_go_on_a_complete_bag_stays_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(fd: int, offset: int, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with BagWriter(tmp_path / "bag", TOPICS, {}) as bag:
+        bag.write(0, 1, b"one")
+    before = {entry.name: entry.read_bytes() for entry in (tmp_path / "bag").iterdir()}
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(RunFailed, match=r"can't be gone on with \(No space left.*make room"):
+        BagWriter(tmp_path / "bag", TOPICS, {}, resume=True)
+    assert {e.name: e.read_bytes() for e in (tmp_path / "bag").iterdir()} == before
+    monkeypatch.undo()
+    with BagWriter(tmp_path / "bag", TOPICS, {}, resume=True) as bag:
+        bag.write(0, 2, b"two")
+    assert_complete_with(tmp_path / "bag", [b"one", b"two"])
+
+
+def test_a_bag_that_a_full_disk_ended_is_gone_on_with_and_ended_by_another(
+    tmp_path: Path, disk: Disk
+) -> None:
+    kept: list[bytes] = []
+    for part in range(4):
+        bag = BagWriter(tmp_path / "bag", TOPICS, {"flock": {"birds": "2"}}, resume=True)
+        kept.append(b"kept %d" % part)
+        bag.write(0, 2 * part, kept[-1])
+        bag.flush()
+        bag.write(0, 2 * part + 1, os.urandom(400))
+        disk.room = 50 * part
+        with pytest.raises(RunFailed, match=f"the {part + 1} messages"):
+            bag.flush()
+        disk.room = None  # what the reserve stands for: `close` has room
+        bag.close()
+        assert_complete_with(tmp_path / "bag", kept)
+
+
+def test_the_reserve_of_a_bag_that_is_gone_on_with_is_for_all_of_its_summary(
+    tmp_path: Path,
+) -> None:
+    reserve = tmp_path / "bag" / ".reserve"
+    bag = BagWriter(tmp_path / "bag", TOPICS, {})
+    for step in range(3_000):
+        bag.write(0, step, b"x")
+        bag.flush()
+    held = reserve.stat().st_size
+    bag.leave()
+    assert not reserve.exists()
+    with BagWriter(tmp_path / "bag", TOPICS, {}, resume=True):
+        assert reserve.stat().st_size == held
+
+
 def test_a_real_full_disk_ends_the_recording_with_a_complete_bag(small_disk: Path) -> None:
     directory = small_disk / "bag"
     sent: list[bytes] = []
@@ -173,3 +225,25 @@ def test_a_real_full_disk_ends_the_recording_with_a_complete_bag(small_disk: Pat
     assert safe > 1_000
     bag.close()
     assert_complete_with(directory, sent[:safe])
+
+
+def test_a_bag_on_a_real_full_disk_is_gone_on_with_once_there_is_room(small_disk: Path) -> None:
+    directory = small_disk / "bag"
+    (small_disk / "other").write_bytes(bytes(300_000))
+    kept: list[bytes] = []
+    for _ in range(2):
+        sent = list(kept)
+        bag = BagWriter(directory, TOPICS, {"flock": {}}, chunk_size=10_000, resume=True)
+
+        def record_for_ever(bag: BagWriter, sent: list[bytes]) -> None:
+            while True:
+                sent.append(os.urandom(100))
+                bag.write(0, len(sent), sent[-1])
+
+        with pytest.raises(RunFailed, match="No space left on device"):
+            record_for_ever(bag, sent)
+        assert bag.messages_safe > len(kept) + 1_000
+        kept = sent[: bag.messages_safe]
+        bag.close()
+        assert_complete_with(directory, kept)
+        (small_disk / "other").unlink(missing_ok=True)

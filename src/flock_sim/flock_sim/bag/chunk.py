@@ -17,59 +17,96 @@ MESSAGE_FIELDS = 22  # bytes of a message record between its length and its data
 
 # opcode, length; start and end time (ns), uncompressed size, CRC, compression, compressed size.
 _CHUNK = struct.Struct("<BQQQQII4sQ")
+CHUNK_HEAD = _CHUNK.size  # bytes
 _MESSAGE_INDEX = struct.Struct("<BQHI")
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_END = struct.Struct("<QI4sQQ")
 _FRAME = 9  # bytes of an opcode and a length
+_ENTRY = 16  # bytes of a message's log time and offset in a message index
+
+
+Entries = Iterable[tuple[int, list[int]]]
+"""For each channel, [log time, offset in body, log time, offset in body, ...] of its messages."""
 
 
 @dataclass(frozen=True)
-class SealedChunk:
-    """A finished chunk: the bytes for the file, and what the summary will say about it."""
+class ChunkSummary:
+    """What the summary of a file says about a chunk."""
 
-    record: bytes  # the chunk and the message indexes that follow it
     index: bytes  # its ChunkIndex record
     start_time: int  # ns, of its earliest message
     end_time: int  # ns, of its latest message
     counts: tuple[tuple[int, int], ...]  # (channel, messages)
 
 
-def seal(
-    body: bytearray,
-    entries: Iterable[tuple[int, list[int]]],
-    offset: int,
-    compressor: ZstdCompressor,
-) -> SealedChunk:
-    """Compress `body` and index it, for a chunk that will begin at byte `offset` of the file.
+@dataclass(frozen=True)
+class SealedChunk:
+    """A finished chunk."""
 
-    `body` is a sequence of message records; `entries` gives for each channel the flat list
-    [log time, offset in body, log time, offset in body, ...] of its messages, not empty.
+    record: bytes  # the chunk and the message indexes that follow it
+    summary: ChunkSummary
+
+
+def seal(
+    body: bytes | bytearray, entries: Entries, offset: int, compressor: ZstdCompressor
+) -> SealedChunk:
+    """Compress and index `body`, not empty, for a chunk that will begin at byte `offset`.
+
+    `body` is a sequence of message records, `entries` tells where they are.
     """
-    channels = [(channel, flat) for channel, flat in entries if flat]
-    start = min(min(flat[::2]) for _, flat in channels)
-    end = max(max(flat[::2]) for _, flat in channels)
     packed = compressor.compress(body)
-    chunk = _CHUNK.pack(
+    head = chunk_head(body, entries, len(packed))
+    indexes = message_indexes(entries)
+    return SealedChunk(head + packed + indexes, summarise(head, indexes, offset))
+
+
+def chunk_head(body: bytes | bytearray, entries: Entries, packed_size: int) -> bytes:
+    """Make what precedes the compressed body, of `packed_size` bytes, in a chunk's record."""
+    channels = [flat for _, flat in entries if flat]
+    return _CHUNK.pack(
         Opcode.CHUNK,
-        _CHUNK.size - _FRAME + len(packed),
-        start,
-        end,
+        _CHUNK.size - _FRAME + packed_size,
+        min(min(flat[::2]) for flat in channels),
+        max(max(flat[::2]) for flat in channels),
         len(body),
         zlib.crc32(body),
         4,
         b"zstd",
-        len(packed),
+        packed_size,
     )
-    parts = [chunk, packed]
-    chunk_length = len(chunk) + len(packed)
-    at = offset + chunk_length
-    places: list[tuple[int, int]] = []
-    for channel, flat in channels:
-        size = 8 * len(flat)
-        places.append((channel, at))
-        parts.append(_MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
-        parts.append(struct.pack(f"<{len(flat)}Q", *flat))
-        at += _MESSAGE_INDEX.size + size
+
+
+def message_indexes(entries: Entries) -> bytes:
+    """Make the message indexes that follow a chunk: one for each channel with messages."""
+    parts: list[bytes] = []
+    for channel, flat in entries:
+        if flat:
+            size = 8 * len(flat)
+            parts.append(_MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+            parts.append(struct.pack(f"<{len(flat)}Q", *flat))
+    return b"".join(parts)
+
+
+def summarise(head: bytes, indexes: bytes, offset: int) -> ChunkSummary:
+    """Summarise the chunk at byte `offset` from its first bytes and its message indexes.
+
+    Raises ValueError where these do not fit together.
+    """
+    try:
+        _, length, start, end, size, _, _, _, packed_size = _CHUNK.unpack_from(head)
+        chunk_length = _FRAME + length
+        at = 0
+        places: list[tuple[int, int]] = []
+        counts: list[tuple[int, int]] = []
+        while at < len(indexes):
+            opcode, length, channel, entries_size = _MESSAGE_INDEX.unpack_from(indexes, at)
+            if opcode != Opcode.MESSAGE_INDEX or length != 6 + entries_size:
+                raise ValueError("a message index does not parse")
+            places.append((channel, offset + chunk_length + at))
+            counts.append((channel, entries_size // _ENTRY))
+            at += _FRAME + length
+    except struct.error as error:
+        raise ValueError(f"a chunk or its message index is cut short: {error}") from error
     index = b"".join(
         (
             _CHUNK_INDEX.pack(
@@ -82,8 +119,7 @@ def seal(
                 10 * len(places),
             ),
             struct.pack("<" + "HQ" * len(places), *chain.from_iterable(places)),
-            _CHUNK_INDEX_END.pack(at - offset - chunk_length, 4, b"zstd", len(packed), len(body)),
+            _CHUNK_INDEX_END.pack(len(indexes), 4, b"zstd", packed_size, size),
         )
     )
-    counts = tuple((channel, len(flat) // 2) for channel, flat in channels)
-    return SealedChunk(b"".join(parts), index, start, end, counts)
+    return ChunkSummary(index, start, end, tuple(counts))

@@ -20,7 +20,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from flock_sim.bag.chunk import SealedChunk
+from flock_sim.bag.chunk import ChunkSummary
 from flock_sim.bag.definitions import Definition
 from flock_sim.bag.topic import Topic
 
@@ -56,15 +56,15 @@ class Written:
         """Messages in whole chunks."""
         return sum(self.counts.values())
 
-    def add(self, sealed: SealedChunk) -> None:
+    def add(self, chunk: ChunkSummary) -> None:
         """Count one more chunk."""
         self.start_time = (
-            min(self.start_time, sealed.start_time) if self.chunks else sealed.start_time
+            min(self.start_time, chunk.start_time) if self.chunks else chunk.start_time
         )
-        self.end_time = max(self.end_time, sealed.end_time)
+        self.end_time = max(self.end_time, chunk.end_time)
         self.chunks += 1
-        self.chunk_index += sealed.index
-        for channel, count in sealed.counts:
+        self.chunk_index += chunk.index
+        for channel, count in chunk.counts:
             self.counts[channel] = self.counts.get(channel, 0) + count
 
 
