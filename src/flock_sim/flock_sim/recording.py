@@ -4,38 +4,54 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from flock_sim import __version__
+from flock_sim.bag.begun import Begun, Message
+from flock_sim.bag.reader import BagReader
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Row
 from flock_sim.core.perturbation import Perturbation
+from flock_sim.errors import FlockError
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
 
 
+class _Waiting(NamedTuple):
+    """The last row that was written, as long as it may not be on disk."""
+
+    chunk: int  # the number of the chunk it is in
+    step: int
+    states: list[bytes]
+
+
 class Recording:
-    """A bag that takes the rows of one flight."""
+    """A bag that takes the rows of one flight; each row is in one chunk, as a whole."""
 
     def __init__(
         self,
         directory: Path,
         configuration: FlockConfiguration,
         kinds: Mapping[str, type[messages.Message]],
+        *,
+        resume: bool = False,
     ) -> None:
-        """Begin a bag; `kinds` gives the message of each topic, in the order of the bag."""
+        """Begin a bag; `kinds` gives the message of each topic, in the order of the bag.
+
+        `resume`: go on with the bag that is there. Raises what `BagWriter` does.
+        """
         self._configuration = configuration
         self._stamp = 0
-        self.saved = -1
-        self.checkpoint: list[bytes] = []
-        self._last: Row | None = None
+        self._saved = -1
+        self._checkpoint: list[bytes] = []
+        self._waiting: _Waiting | None = None
         self.live: dict[int, Perturbation] = {}
         """The pushes asked for in flight that are recorded, by number."""
         self.bag = BagWriter(
@@ -50,28 +66,37 @@ class Recording:
                 for name, kind in kinds.items()
             ],
             {CONFIGURATION_RECORD: configuration_record(configuration)},
+            resume=resume,
         )
         self._place = {name: place for place, name in enumerate(kinds)}
         birds = range(1, configuration.birds + 1)
         self._states = [self._place[topics.state_topic(bird)] for bird in birds]
+        if self.bag.begun is not None:
+            try:
+                self._find_checkpoint(self.bag.begun)
+            except FlockError:
+                self.bag.leave()
+                raise
+
+    @property
+    def saved(self) -> int:
+        """The step of the last row that is on disk; -1 where none is."""
+        self._look()
+        return self._saved
+
+    @property
+    def checkpoint(self) -> list[bytes]:
+        """The states of bird 1, 2, ... N in that row, as they are recorded; [] where none is."""
+        self._look()
+        return self._checkpoint
 
     def write_row(self, row: Row) -> None:
         """Write everything of one recorded step, at its simulated time."""
-        write = self.bag.write
+        self._look()
         self._stamp = stamp = self._configuration.stamp(row.step)
-        for bird, data in enumerate(row.wings, start=1):
-            write(topics.wing_topic(bird), stamp, data)
-        for bird, data in row.stages:
-            write(topics.stage_topic(bird), stamp, data)
-        write(topics.CLOCK_TOPIC, stamp, row.time)
-        for place, data in zip(self._states, row.states, strict=True):
-            write(place, stamp, data)
-        self._last = row
-
-    def flush(self):
-        self.bag.flush()
-        if self._last:
-            self.saved, self.checkpoint = self._last.step, self._last.states
+        chunk = self.bag.chunks_safe
+        self.bag.write_together((place, stamp, data) for place, data in self._placed(row))
+        self._waiting = _Waiting(chunk, row.step, row.states)
 
     def write_grant(self, data: bytes) -> None:
         """Write a grant, at the simulated time of the row before it."""
@@ -82,6 +107,69 @@ class Recording:
         self.live[push.number] = push.perturbation
         stamp = self._configuration.stamp(push.step)
         self.bag.write(topics.PERTURBATION_TOPIC, stamp, push.encode())
+
+    def flush(self) -> None:
+        """Put all rows on disk; raises RunFailed where there is no room."""
+        self.bag.flush()
+
+    def _placed(self, row: Row) -> Iterator[tuple[int, bytes]]:
+        """Yield the messages of a row in the order of the bag, each with its topic's place."""
+        place = self._place
+        for bird, data in enumerate(row.wings, start=1):
+            yield place[topics.wing_topic(bird)], data
+        for bird, data in row.stages:
+            yield place[topics.stage_topic(bird)], data
+        yield place[topics.CLOCK_TOPIC], row.time
+        yield from zip(self._states, row.states, strict=True)
+
+    def _look(self) -> None:
+        """Take note of the row that waits once its chunk is on disk, whoever put it there."""
+        waiting = self._waiting
+        if waiting is not None and self.bag.chunks_safe > waiting.chunk:
+            self._saved, self._checkpoint = waiting.step, waiting.states
+            self._waiting = None
+
+    def _find_checkpoint(self, begun: Begun) -> None:
+        """Find the last row of a bag that is gone on with, and drop what follows it."""
+        number = len(begun.chunks)
+        held: list[Message] = []
+        end, states = 0, list[bytes]()
+        while number and not states:
+            number -= 1
+            held = begun.messages(number) + held
+            end, states = self._last_row(held)
+        if end < len(held):  # not by us: some other writer ended a chunk within a row
+            self.bag.cut_back(number)
+            self.bag.write_together(held[:end])
+            self.bag.flush()
+        if states:
+            self._saved, self._checkpoint = messages.State.step_of(states[0]), states
+            self._stamp = self._configuration.stamp(self._saved)
+        with BagReader(self.bag.directory) as bag:
+            for _, _, data in bag.messages([topics.PERTURBATION_TOPIC]):
+                push = messages.Push.decode(data)
+                self.live[push.number] = push.perturbation
+
+    def _last_row(self, held: Sequence[Message]) -> tuple[int, list[bytes]]:
+        """Return the end in `held` of the last whole row with what follows it, and its states."""
+        bird_of = {place: bird for bird, place in enumerate(self._states)}
+        between = {
+            self._place.get(name) for name in (topics.GRANT_TOPIC, topics.PERTURBATION_TOPIC)
+        }
+        end, whole = 0, list[bytes]()
+        row: list[bytes] = []
+        for at, (place, _, data) in enumerate(held):
+            bird = bird_of.get(place)
+            if bird is not None:
+                if bird == 0:
+                    row = []
+                if bird == len(row) and _same_step([*row[:1], data]):
+                    row.append(data)
+                if len(row) == len(bird_of):
+                    end, whole, row = at + 1, row, []
+            elif place in between and at == end:
+                end = at + 1
+        return end, whole
 
 
 @contextmanager
@@ -96,8 +184,36 @@ def recording(
 ) -> Iterator[Recording]:
     """Give a recording whose bag is closed, and so complete, however the block ends.
 
-    `live`: with perturbations that are asked for in flight, which one with grants has anyway.
+    `resume`: it goes on with the bag that is there, or begins one if there is none. `live`: with
+    perturbations that are asked for in flight, which one with grants has anyway.
     """
+    kinds = _kinds(configuration, grants, stages, live)
+    run = Recording(directory, configuration, kinds, resume=resume)
+    try:
+        yield run
+    finally:
+        run.bag.close()
+
+
+def lay_down(
+    directory: Path, configuration: FlockConfiguration, *, grants: bool, stages: bool
+) -> None:
+    """Have the beginning of a bag in `directory`, its configuration, for `recording` to resume.
+
+    Raises FlockError where there is one already or it can't be written.
+    """
+    Recording(directory, configuration, _kinds(configuration, grants, stages)).bag.leave()
+
+
+def has_stages(bag: BagReader) -> bool:
+    """Tell whether a flight was recorded with its Runge-Kutta stages."""
+    return topics.stage_topic(1) in bag.topics
+
+
+def _kinds(
+    configuration: FlockConfiguration, grants: bool, stages: bool, live: bool = False
+) -> dict[str, type[messages.Message]]:
+    """Return the message of each topic, in the order of the bag."""
     birds = range(1, configuration.birds + 1)
     kinds: dict[str, type[messages.Message]] = {topics.CLOCK_TOPIC: messages.Time}
     if grants:
@@ -108,11 +224,11 @@ def recording(
     kinds |= {topics.state_topic(bird): messages.State for bird in birds}
     if stages:
         kinds |= {topics.stage_topic(bird): messages.Stage for bird in birds}
-    run = Recording(directory, configuration, kinds)
-    try:
-        yield run
-    finally:
-        run.bag.close()
+    return kinds
+
+
+def _same_step(states: Sequence[bytes]) -> bool:
+    return len({messages.State.step_of(state) for state in states}) == 1
 
 
 def configuration_record(configuration: FlockConfiguration) -> dict[str, str]:
@@ -126,7 +242,3 @@ def configuration_of(record: Mapping[str, str]) -> FlockConfiguration:
     values = {key: json.loads(value) for key, value in record.items()}
     values.pop("flock_version", None)
     return FlockConfiguration.from_parameters(values)
-
-
-def lay_down(directory, configuration, *, grants, stages):
-    pass

@@ -13,7 +13,7 @@ from flock_sim.bag.output import claim_output
 from flock_sim.command_line import Parser, print_json, run_tool
 from flock_sim.core import topics
 from flock_sim.errors import FlockError
-from flock_sim.recording import recording
+from flock_sim.recording import has_stages, recording
 from flock_sim.run import Run
 
 DESCRIPTION = """\
@@ -51,10 +51,9 @@ def rewrite(run: Run, output: Path) -> int:
     Returns how many are left out, since they are not on Flock's topics. Raises FlockError where
     `output` can't be written.
     """
-    birds = range(1, run.configuration.birds + 1)
     grants = topics.GRANT_TOPIC in run.bag.topics
     live = topics.PERTURBATION_TOPIC in run.bag.topics
-    stages = any(topics.stage_topic(bird) in run.bag.topics for bird in birds)
+    stages = has_stages(run.bag)
     foreign = 0
     with recording(output, run.configuration, grants=grants, stages=stages, live=live) as whole:
         for topic, log_time, data in _until_broken(run, []):

@@ -234,7 +234,9 @@ class Timekeeper:
         """
         configuration = self._configuration
         if not self._record:
-            raise FlockError("nothing is recorded, so a push would be forgotten: fly with a recorder")
+            raise FlockError(
+                "nothing is recorded, so a push would be forgotten: fly with a recorder"
+            )
         if not self.begun:
             raise FlockError("the flock is not flying yet, or again: ask once more when it is")
         soonest = self._granted + 1

@@ -16,7 +16,15 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Perturbation, Progress
+from flock_interfaces.msg import (
+    BirdStage,
+    BirdState,
+    BirdWing,
+    Checkpoint,
+    Grant,
+    Perturbation,
+    Progress,
+)
 from flock_sim.bag.output import claim_output
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
