@@ -34,9 +34,10 @@ def grant(step: int, configuration: FlockConfiguration, **changes) -> Grant:
 
 
 def start(bird: BirdProtocol, step: int, configuration: FlockConfiguration) -> list[Outgoing]:
-    """Tell a bird that the run begins, and where; return what it says."""
-    out = bird.receive_grant(grant(step, configuration))
-    return out + bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH))
+    """Tell a bird that the run begins, where, and how far it may go; return what it says."""
+    out = bird.receive_grant(grant(0, configuration))
+    out += bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH))
+    return out + bird.receive_grant(grant(step, configuration))
 
 
 def of(channel: Channel, out: list[tuple[Channel, bytes]]) -> list[bytes]:
@@ -170,11 +171,12 @@ def test_a_bird_shows_its_wing_and_waits_for_its_neighbours():
 def test_a_stage_that_overtakes_its_senders_wing_is_kept_until_the_wing_is_here():
     # Wings and stages travel on topics of their own, and nothing orders one after the other.
     bird, other, configuration = pair()
-    (wing,) = of(Channel.WING, start(bird, 1, configuration))
-    (other_wing,) = of(Channel.WING, start(other, 1, configuration))
+    (wing,) = of(Channel.WING, start(bird, 0, configuration))
+    (other_wing,) = of(Channel.WING, start(other, 0, configuration))
     (stage,) = of(Channel.STAGE, other.receive_wing(Wing.decode(wing)))
     assert bird.receive_stage(stage) == []
     out = bird.receive_wing(Wing.decode(other_wing))
+    out += bird.receive_grant(grant(1, configuration))
     headers = [stage_header(data) for data in of(Channel.STAGE, out)]
     assert [(step, stage) for _, step, _, _, stage, _ in headers] == [(0, 0), (0, 1)]
     assert bird.ignored == 0
@@ -208,7 +210,7 @@ def test_a_bird_holds_at_the_step_that_it_was_granted():
 
 
 @pytest.mark.parametrize(
-    ("granted", "reported"), [(0, [0]), (1, [1]), (2, [1, 2]), (7, [3, 7]), (8, [4, 8])]
+    ("granted", "reported"), [(0, [0]), (1, [0, 1]), (2, [0, 1, 2]), (7, [0, 3, 7]), (8, [0, 4, 8])]
 )
 def test_a_bird_reports_half_way_and_where_its_leave_ends(granted, reported):
     # Half way, so that the next grant comes before it has to stop.
@@ -271,6 +273,17 @@ def test_a_new_epoch_takes_back_that_the_run_is_over():
     assert not bird.finished
 
 
+def test_a_bird_does_not_begin_where_it_has_leave_to_be_further_already():
+    # That leave was earned by a former life; it would wait for stages that nobody says again.
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    bird.receive_grant(grant(3, configuration))
+    assert bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH)) == []
+    assert not bird.in_flight
+    bird.receive_grant(grant(0, configuration, epoch=EPOCH + 1))
+    assert of(Channel.STATE, bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH + 1)))
+
+
 def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
     configuration = configured(birds=1, t_max=100.0)
     bird = BirdProtocol(1, configuration)
@@ -282,9 +295,9 @@ def test_half_way_counts_from_where_the_bird_is_when_leave_comes():
 def test_a_stage_one_ahead_is_kept_and_two_ahead_refused():
     configuration = configured()
     middle = BirdProtocol(2, configuration)
-    start(middle, 8, configuration)
     for other in (1, 3):
         middle.receive_wing(Wing(RUN, other, np.ones(1)))
+    start(middle, 8, configuration)
 
     def stage_of(bird, step, stage):
         position, speed = np.array([-1.8]), np.ones(1)

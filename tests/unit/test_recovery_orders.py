@@ -53,7 +53,8 @@ def bird_one() -> BirdProtocol:
     bird = BirdProtocol(1, TWO)
     bird.receive_wing(Wing(RUN, 2, np.ones(1)))
     bird.receive_checkpoint(Checkpoint.of_start(RUN, 1))
-    assert ticks(bird.receive_grant(grant(8, 1))) == [(1, 0, 0)]
+    assert ticks(bird.receive_grant(grant(0, 1))) == [(1, 0, 0)]
+    assert bird.receive_grant(grant(8, 1)) == []
     return bird
 
 
@@ -117,8 +118,9 @@ def test_a_stage_of_the_next_epoch_waits_while_the_bird_flies_in_this_one() -> N
 def test_what_was_heard_in_an_epoch_counts_in_no_other() -> None:
     bird = bird_one()
     bird.receive_stage(first_stage(2, 0, 1))
-    bird.receive_grant(grant(8, 2))
+    bird.receive_grant(grant(0, 2))
     assert ticks(bird.receive_checkpoint(Checkpoint.of_start(RUN, 2))) == [(2, 0, 0)]
+    bird.receive_grant(grant(8, 2))
     assert bird.missing == [2]
     assert bird.receive_stage(first_stage(2, 0, 1)) == []
     assert ticks(bird.receive_stage(first_stage(2, 0, 2))) == [(2, 0, 1)]

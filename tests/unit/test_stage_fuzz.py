@@ -49,6 +49,10 @@ def new_bird(number: int) -> BirdProtocol:
     return BirdProtocol(number, CONFIGURATION, life=number)
 
 
+def grant_to(step: int, epoch: int) -> Grant:
+    return Grant(RUN, step, CONFIGURATION.steps, CONFIGURATION.dt, epoch)
+
+
 def checkpoint(step: int, epoch: int) -> Checkpoint:
     flock = Monolith(CONFIGURATION)
     flock.advance(step)
@@ -66,13 +70,8 @@ def flight() -> Flight:
     birds = {number: new_bird(number) for number in (1, 2, 3)}
     inputs: list[Input] = []
     answers: list[list[Outgoing]] = []
-    queue: list[tuple[int, Input]] = []
-    legs = [(3, Checkpoint.of_start(RUN, 3), 30), (4, checkpoint(20, 4), 45)]
-    legs.append((6, checkpoint(40, 6), CONFIGURATION.steps))
-    for epoch, where, leave in legs:
-        grant = Grant(RUN, leave, CONFIGURATION.steps, CONFIGURATION.dt, epoch)
-        for number in birds:
-            queue += [(number, ("grant", grant)), (number, ("checkpoint", where))]
+
+    def fly(queue: list[tuple[int, Input]]) -> None:
         while queue:
             to, what = queue.pop(0)
             out = hear(birds[to], what)
@@ -85,6 +84,13 @@ def flight() -> Flight:
                         queue.append((other, ("stage", data)))
                     elif to in birds[other].neighbours and channel.value == "wing":
                         queue.append((other, ("wing", Wing.decode(data))))
+
+    legs = [(3, Checkpoint.of_start(RUN, 3), 30), (4, checkpoint(20, 4), 45)]
+    legs.append((6, checkpoint(40, 6), CONFIGURATION.steps))
+    for epoch, where, leave in legs:
+        for what in [("grant", grant_to(where.step, epoch)), ("checkpoint", where)]:
+            fly([(number, what) for number in birds])
+        fly([(number, ("grant", grant_to(leave, epoch))) for number in birds])
     assert all(bird.finished for bird in birds.values())
     assert birds[BIRD].ignored == 0
     return Flight(inputs, answers)
