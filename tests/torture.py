@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import os
 import signal
 import sys
@@ -102,6 +103,8 @@ class Executioner:
         """Return who is to be killed now, if anybody: (who, process)."""
         if grew:
             self._hits.clear()
+            if self._due == math.inf:
+                self._due = time.monotonic() + self._random.uniform(0.0, 1.0)
         if time.monotonic() < self._due or not self.left:
             return None
         spared = {w: p for w, p in candidates.items() if self._hits.get(w, 0) < self.MERCY}
@@ -110,8 +113,11 @@ class Executioner:
         who = self._random.choice(sorted(spared))
         self._hits[who] = self._hits.get(who, 0) + 1
         self.left -= 1
-        low, high = self._random.choice([(0.0, 0.3), (0.3, 2.0), (2.0, 5.0)])
-        self._due = time.monotonic() + self._random.uniform(low, high)
+        # Soon, while others recover; a little later; or not before there are new rows on disk.
+        low, high = self._random.choice(
+            [(0.0, 0.3), (0.3, 2.0), (math.inf, math.inf), (math.inf, math.inf)]
+        )
+        self._due = time.monotonic() + (low if low == math.inf else self._random.uniform(low, high))
         return who, spared[who]
 
 
@@ -126,7 +132,7 @@ def torture(
     random = Random(seed)
     toll = Toll()
     for flight in itertools.count():
-        steps = random.choice([4000, 10000, 16000])
+        steps = random.choice([6000, 20000, 40000])
         bag = f"flight-{flight}"
         executioner = Executioner(random, min(per_flight, kills - toll.killed))
         fly = by_hand if flight % 2 else composed

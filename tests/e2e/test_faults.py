@@ -8,7 +8,6 @@ terminal at the end of every test.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import time
@@ -131,7 +130,11 @@ def test_fly_names_the_birds_that_do_not_come_up_and_gives_up(terminal: Terminal
 def is_of(pid: int, birds: list[int]) -> bool:
     """Whether a worker flies these birds, by the parameters that it was given."""
     words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
-    files = [Path(file) for word, file in pairwise(words) if word == "--params-file"]
+    files = [
+        Path(file.replace("/self/", f"/{pid}/"))
+        for word, file in pairwise(words)
+        if word == "--params-file"
+    ]
     given = [yaml.safe_load(file.read_text())["/**"]["ros__parameters"] for file in files]
     return any(parameters.get("indices") == birds for parameters in given)
 
@@ -180,10 +183,7 @@ def test_the_processes_of_a_flight_do_not_outlive_it(terminal: Terminal) -> None
         terminal.look()
         time.sleep(0.02)
     assert_readable(terminal, complete=True)
-    # What nobody is left to remove: the shared memory and the parameters of `fly` itself.
-    remove_orphans()
-    for directory in terminal.temporary.glob("flock-*"):
-        shutil.rmtree(directory)
+    remove_orphans()  # the shared memory of `fly` itself, which nobody is left to remove
 
 
 @pytest.fixture

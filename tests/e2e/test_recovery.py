@@ -104,15 +104,6 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
     assert done.json["steps"] == STEPS
     assert "going on with bag" in done.stderr or on_disk == STEPS
     assert_as_undisturbed(terminal)
-    clean(terminal)
-
-
-def clean(terminal: Terminal) -> None:
-    """Remove what nobody is left to remove: the parameters of a `fly` that was killed."""
-    for file in terminal.temporary.glob("flock-*/*"):
-        file.unlink()
-    for directory in terminal.temporary.glob("flock-*"):
-        directory.rmdir()
 
 
 def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(terminal: Terminal) -> None:
@@ -159,4 +150,3 @@ def test_a_short_torture(terminal: Terminal) -> None:
     assert toll.killed == 8
     assert toll.flights == len(said) == 2
     assert toll.rewinds >= 1
-    clean(terminal)

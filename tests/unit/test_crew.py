@@ -25,7 +25,9 @@ HANDS = {
     "deaf": "import signal, time\nsignal.signal(15, signal.SIG_IGN)\nReady()\ntime.sleep(1000)",
     "tells": (
         "import os, pathlib, sys\n"
-        f"pathlib.Path('told').write_text(repr((sys.argv[1:], os.environ.get('{SUPERVISED}'))))"
+        "read = [pathlib.Path(file).read_text() for file in sys.argv[4::2]]\n"
+        f"said = (sys.argv[1:], os.environ.get('{SUPERVISED}'), read)\n"
+        "pathlib.Path('told').write_text(repr(said))"
     ),
 }
 READY = "import os, pathlib\ndef Ready(): pathlib.Path(f'ready-{os.getpid()}').touch()\n"
@@ -39,13 +41,6 @@ def hands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture
-def parameters(tmp_path: Path) -> Path:
-    """The parameters that all hands are given."""
-    (tmp_path / "parameters").mkdir()
-    return tmp_path / "parameters" / "flock.yaml"
 
 
 def until(condition: Callable[[], object]) -> None:
@@ -65,35 +60,31 @@ def lives(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_all_that_end_well_are_joined(hands: Path, parameters: Path) -> None:
-    with Crew(hands / "flock.yaml") as crew:
+def test_all_that_end_well_are_joined(hands: Path) -> None:
+    with Crew({}) as crew:
         crew.start("one", "hand_well", {})
         crew.start("two", "hand_well", {})
         crew.join(30.0)
         crew.check()
 
 
-def test_a_hand_is_told_its_parameters_and_that_it_is_supervised(
-    hands: Path, parameters: Path
-) -> None:
+def test_a_hand_is_told_its_parameters_and_that_it_is_supervised(hands: Path) -> None:
     output = "runs/a: b #c"  # on a command line, ROS would read it as YAML
-    with Crew(parameters) as crew:
+    with Crew({"birds": 3}) as crew:
         crew.start("one", "hand_tells", {"run_id": 7, "indices": [1, 2], "output": output})
         crew.join(30.0)
-    told, supervised = ast.literal_eval((hands / "told").read_text())
+    told, supervised, read = ast.literal_eval((hands / "told").read_text())
     assert supervised == str(os.getpid())
     assert told[:2] == ["--ros-args", "--disable-external-lib-logs"]
-    common, own = (Path(file) for file in (told[3], told[5]))
     assert told[2::2] == ["--params-file", "--params-file"]
-    assert common == parameters
-    content = yaml.safe_load(own.read_text())
-    assert content == {
-        "/**": {"ros__parameters": {"run_id": 7, "indices": [1, 2], "output": output}}
-    }
+    own = {"run_id": 7, "indices": [1, 2], "output": output}
+    assert [yaml.safe_load(text) for text in read] == [
+        {"/**": {"ros__parameters": parameters}} for parameters in ({"birds": 3}, own)
+    ]
 
 
-def test_one_that_fails_is_named_with_its_status(hands: Path, parameters: Path) -> None:
-    with Crew(hands / "flock.yaml") as crew:
+def test_one_that_fails_is_named_with_its_status(hands: Path) -> None:
+    with Crew({}) as crew:
         crew.start("the good one", "hand_well", {})
         crew.start("the bad one", "hand_badly", {})
         with pytest.raises(RunFailed, match=r"^the bad one ended with status 3$"):
@@ -101,11 +92,11 @@ def test_one_that_fails_is_named_with_its_status(hands: Path, parameters: Path) 
 
 
 def test_one_that_is_killed_is_named_with_the_signal(
-    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     removed: list[int] = []
     monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
-    with Crew(hands / "flock.yaml") as crew:
+    with Crew({}) as crew:
         crew.start("the victim", "hand_waits", {})
         crew.check()
         os.kill(ready(hands, 1)[0], signal.SIGKILL)
@@ -114,8 +105,8 @@ def test_one_that_is_killed_is_named_with_the_signal(
     assert removed == [1]
 
 
-def test_those_that_do_not_end_are_named(hands: Path, parameters: Path) -> None:
-    with Crew(hands / "flock.yaml") as crew:
+def test_those_that_do_not_end_are_named(hands: Path) -> None:
+    with Crew({}) as crew:
         crew.start("one", "hand_waits", {})
         crew.start("two", "hand_well", {})
         crew.start("three", "hand_waits", {})
@@ -126,15 +117,13 @@ def test_those_that_do_not_end_are_named(hands: Path, parameters: Path) -> None:
     assert not any(map(lives, pids))
 
 
-def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(
-    hands: Path, parameters: Path
-) -> None:
+def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(hands: Path) -> None:
     (hands / "hand_says.py").write_text(
         "import pathlib, signal\n"
         "deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
         "pathlib.Path('deaf').write_text(repr(deaf))\n"
     )
-    with Crew(hands / "flock.yaml") as crew:
+    with Crew({}) as crew:
         crew.start("one", "hand_says", {})
         crew.join(30.0)
     assert (hands / "deaf").read_text() == "True"
@@ -142,13 +131,11 @@ def test_ctrl_c_is_left_to_the_parent_from_the_first_moment_on(
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_nobody_is_left_however_a_flight_ends(
-    hands: Path, parameters: Path, error: type[BaseException]
-) -> None:
+def test_nobody_is_left_however_a_flight_ends(hands: Path, error: type[BaseException]) -> None:
     pids = []
 
     def fail() -> None:
-        with Crew(hands / "flock.yaml") as crew:
+        with Crew({}) as crew:
             crew.start("one", "hand_waits", {})
             crew.start("two", "hand_waits", {})
             pids.extend(ready(hands, 2))
@@ -161,12 +148,12 @@ def test_nobody_is_left_however_a_flight_ends(
 
 
 def test_who_does_not_heed_a_polite_word_is_killed(
-    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     removed: list[int] = []
     monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
     monkeypatch.setattr(module, "GRACE", 0.1)
-    with Crew(hands / "flock.yaml") as crew:
+    with Crew({}) as crew:
         crew.start("one", "hand_deaf", {})
         (pid,) = ready(hands, 1)
     assert not lives(pid)
@@ -174,10 +161,10 @@ def test_who_does_not_heed_a_polite_word_is_killed(
 
 
 def test_one_that_is_stopped_is_ended_in_order(
-    hands: Path, parameters: Path, monkeypatch: pytest.MonkeyPatch
+    hands: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "GRACE", 30.0)
-    with Crew(hands / "flock.yaml") as crew:
+    with Crew({}) as crew:
         crew.start("one", "hand_waits", {})
         (pid,) = ready(hands, 1)
         os.kill(pid, signal.SIGSTOP)

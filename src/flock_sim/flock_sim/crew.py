@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import TracebackType
 
 from flock_sim import configuration_file
@@ -38,6 +37,7 @@ STOPPED = 128
 class _Hand:
     who: str
     command: list[str]
+    parameters: tuple[int, int]  # descriptors of its files of parameters
     to_the_end: bool
     deaths: int = 0  # since the flight has come to `progress`
     progress: int = -1
@@ -47,12 +47,12 @@ class _Hand:
 class Crew:
     """A group of node processes; leaving the context ends those that still run."""
 
-    def __init__(self, parameters: Path, respawn: bool = False) -> None:
-        """Give every process the file `parameters`; beside it, each gets one of its own.
+    def __init__(self, parameters: Mapping[str, object], respawn: bool = False) -> None:
+        """Give every process the ROS `parameters`, besides those of its own.
 
         `respawn`: start those again that were killed.
         """
-        self._parameters = parameters
+        self._parameters = _file(parameters)
         self._respawn = respawn
         self._hands: list[_Hand] = []
         self.deaths = 0
@@ -65,13 +65,11 @@ class Crew:
 
         `to_the_end`: it has something to do when the flight is over, and must end well.
         """
-        # In a file: on the command line, ROS would read the values as YAML.
-        own = self._parameters.with_name(f"{len(self._hands)}.yaml")
-        own.write_text(configuration_file.text(parameters), encoding="utf-8")
+        files = (self._parameters, _file(parameters))
         command = [sys.executable, "-P", "-m", module, "--ros-args", "--disable-external-lib-logs"]
-        for file in (self._parameters, own):
-            command += ["--params-file", str(file)]
-        hand = _Hand(who, command, to_the_end)
+        for file in files:
+            command += ["--params-file", f"/proc/self/fd/{file}"]
+        hand = _Hand(who, command, files, to_the_end)
         with _interrupt_deferred():
             _run(hand)
             self._hands.append(hand)
@@ -137,6 +135,9 @@ class Crew:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        for file in {file for hand in self._hands for file in hand.parameters}:
+            os.close(file)
+        self._hands.clear()
         remove_orphans()
 
     def __enter__(self) -> Crew:
@@ -153,7 +154,21 @@ class Crew:
 
 def _run(hand: _Hand) -> None:
     environment = {**os.environ, SUPERVISED: str(os.getpid())}
-    hand.process = subprocess.Popen(hand.command, stdin=subprocess.DEVNULL, env=environment)
+    hand.process = subprocess.Popen(
+        hand.command, stdin=subprocess.DEVNULL, env=environment, pass_fds=hand.parameters
+    )
+
+
+def _file(parameters: Mapping[str, object]) -> int:
+    """Return the descriptor of a file of ROS parameters, which is gone with those who have it open.
+
+    In a file, since ROS would read values on the command line as YAML; in memory, since nobody
+    would be left to remove it after a kill.
+    """
+    descriptor = os.memfd_create("flock-parameters")
+    with os.fdopen(os.dup(descriptor), "w", encoding="utf-8") as file:
+        file.write(configuration_file.text(parameters))
+    return descriptor
 
 
 @contextmanager

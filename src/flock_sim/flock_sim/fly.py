@@ -6,14 +6,12 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flock_sim import configuration_file
 from flock_sim.bag.output import claim_output
 from flock_sim.command_line import (
     Parser,
@@ -166,27 +164,23 @@ def _fly(plan: Plan) -> dict[str, Any]:
     """Fly `plan` to its end; return how that went: its rate, and what recovering has cost."""
     configuration = plan.configuration
     run_id = new_run_id()
-    with tempfile.TemporaryDirectory(prefix="flock-") as directory:
-        parameters = Path(directory) / "flock.yaml"
-        flown = configuration_file.text(configuration.parameters())
-        parameters.write_text(flown, encoding="utf-8")
-        common = {
-            "run_id": run_id,
-            "executor": plan.executor,
-            "timeout": plan.timeout + PATIENCE_OF_CREW,
-        }
-        with Crew(parameters, plan.respawn) as crew:
-            if plan.output is not None:
-                recorder = {
-                    **common,
-                    "output": str(plan.output.absolute()),
-                    "resume": True,
-                    "record_stages": plan.record_stages,
-                }
-                crew.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
-            for birds in shares(configuration.birds, plan.processes):
-                crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
-            return _keep_time(plan, run_id, crew)
+    common = {
+        "run_id": run_id,
+        "executor": plan.executor,
+        "timeout": plan.timeout + PATIENCE_OF_CREW,
+    }
+    with Crew(configuration.parameters(), plan.respawn) as crew:
+        if plan.output is not None:
+            recorder = {
+                **common,
+                "output": str(plan.output.absolute()),
+                "resume": True,
+                "record_stages": plan.record_stages,
+            }
+            crew.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
+        for birds in shares(configuration.birds, plan.processes):
+            crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
+        return _keep_time(plan, run_id, crew)
 
 
 def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
@@ -194,13 +188,19 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
     # Imported here, while the others are starting: it takes as long for us as for them.
     import rclpy
 
-    from flock_sim.nodes.clock import ClockNode, keep_time
+    from flock_sim.nodes.clock import OWN, ClockNode, first_epoch, keep_time
+    from flock_sim.nodes.parameters import declare
     from flock_sim.nodes.patience import Patience
     from flock_sim.nodes.process import executing, ros_context
 
     configuration = plan.configuration
     keeper = Timekeeper(
-        configuration, run_id, plan.window, plan.output is not None, plan.record_stages
+        configuration,
+        run_id,
+        plan.window,
+        plan.output is not None,
+        plan.record_stages,
+        first_epoch(),
     )
     furthest = -1
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
@@ -218,6 +218,8 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
 
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
             clock = ClockNode(keeper, depth, context=context)
+            operation = {**vars(plan), "run_id": run_id, "record": plan.output is not None}
+            declare(clock, configuration, operation, OWN)
             executor.add_node(clock)
             begun, ended = keep_time(clock, executor, Patience(plan.timeout, note), watch)
             watch()

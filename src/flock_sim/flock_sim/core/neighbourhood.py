@@ -52,9 +52,12 @@ class Neighbourhood:
             return STRANGE
         if len(ratio) != self._members or not np.all(np.isfinite(ratio) & (ratio > 0.0)):
             return IMPOSSIBLE
-        if run_id == 0 and len(self._early) < EARLY * len(self.birds):
+        if run_id == 0:
             self._early[wing.run_id, wing.bird] = wing
-            return ""
+            if len(self._early) <= EARLY * len(self.birds):
+                return ""
+            del self._early[next(iter(self._early))]  # the oldest, which now is ignored
+            return FOREIGN
         if wing.run_id != run_id:
             return FOREIGN
         if wing.bird not in self._wings:

@@ -99,6 +99,7 @@ class Timekeeper:
         self._heard: set[str] = set()  # since anybody has moved
         self._granted = 0
         self._told = -1  # the last step whose time was told, or that is on disk
+        self._checkpoint = ABSENT  # the step that was on disk when the epoch began
 
     @property
     def first_messages(self) -> list[Message]:
@@ -121,8 +122,12 @@ class Timekeeper:
     @property
     def finished(self) -> bool:
         """Whether the last step is reached, and on disk where it is to be recorded."""
+        if not self._record:
+            return self.step >= self.end
         last_recorded = self.end - self.end % self._configuration.record_every
-        return self.step >= self.end and (not self._record or self.saved >= last_recorded)
+        # Where an epoch begins with everything on disk, birds may have been let go already.
+        flown = self.step >= self.end or self._checkpoint >= last_recorded
+        return flown and self.saved >= last_recorded
 
     @property
     def begun(self) -> bool:
@@ -193,10 +198,13 @@ class Timekeeper:
         self.moves += 1
         self._heard.clear()
         if progress.who == RECORDER and first:
-            self._told, self._granted = progress.step, max(0, progress.step)
+            self._told = self._checkpoint = progress.step
+            self._granted = max(0, progress.step)
         self.step = min(step for _, step in self._birds_reached())
         if not self.begun:
             return []
+        if max(step for _, step in self._birds_reached()) > self._granted:
+            return self.rewind()  # by the leave of another clock, in an epoch of the same number
         self._count_steps_lost()
         return [*self._times(), *(self.stop() if self._stopping else self._grants())]
 

@@ -27,6 +27,9 @@ from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, run_node
 from flock_sim.stop import Stop
 
+OWN = ("window", "record", "record_stages", *OF_ALL)
+"""What a clock is told of how it operates."""
+
 WAIT = 0.05
 """How long the clock waits for news at a time, in s."""
 
@@ -177,8 +180,11 @@ def listing(names: list[str], most: int = 8) -> str:
 
 
 def first_epoch() -> int:
-    """Return an epoch later than those of any clock before this one: the seconds of the system."""
-    return int(time.time())
+    """Return an epoch later than those of any clock before this one, from the system's time.
+
+    In 32 bits, sixteenths of seconds last for eight years, and then begin anew.
+    """
+    return int(16 * time.time()) % 2**32
 
 
 def work(process: Process) -> None:
@@ -195,8 +201,7 @@ def work(process: Process) -> None:
     with executing(operation["executor"], process.context) as executor:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
         clock = ClockNode(keeper, depth, context=process.context)
-        own = ("window", "record", "record_stages", *OF_ALL)
-        declare(clock, process.configuration, operation, own)
+        declare(clock, process.configuration, operation, OWN)
         executor.add_node(clock)
         keep_time(clock, executor, process.patience(), lambda: process.stop)
         clock.release()

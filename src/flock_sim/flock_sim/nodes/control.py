@@ -44,7 +44,7 @@ class Control:
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.stop())
-        return _said(response, f"ending the flight at step {self._keeper.end}")
+        return _said(response, f"ending the flight where leave ends: {self._keeper.where}")
 
     def _step(self, request: Step.Request, response: Step.Response) -> Step.Response:
         if request.steps < 1:

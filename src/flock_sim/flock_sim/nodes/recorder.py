@@ -189,6 +189,7 @@ class RecorderNode(DrainedNode):
             self.ledger.ignored_for[MALFORMED] += 1
             return
         if grant.epoch > self._epoch:
+            self.released = False
             self._begin(grant)
         self.released |= grant.step > grant.end
         self.ledger.end_at(grant.end)
