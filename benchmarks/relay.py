@@ -47,7 +47,7 @@ class RelayNode(DrainedNode):
         for other in self.heard:
             topic = f"/relay/{topics.bird_name(other)}/stage"
             if direct:
-                self.inlets[other] = self.subscribe_drained(BirdStage, topic, topics.STAGE_DEPTH)
+                self.inlets[other] = self.subscribe_drained(BirdStage, topic)
             else:
                 self.create_subscription(
                     BirdStage,

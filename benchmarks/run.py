@@ -23,19 +23,21 @@ from rich.table import Table
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.monolith import Monolith
+from flock_sim.shares import shares
 
 BIRDS = 13
 RELAY = Path(__file__).with_name("relay.py")
 LIMIT = 600.0  # s, for any one measurement
 
 
-def relay(kind: str, processes: int, steps: int) -> float:
+def relay(kind: str, processes: int, steps: int, birds: int = BIRDS) -> float:
     """Return the steps per second of a bare relay."""
-    bounds = [k * BIRDS // processes for k in range(processes + 1)]
-    command = [sys.executable, "-P", str(RELAY), kind, str(BIRDS), str(steps)]
+    command = [sys.executable, "-P", str(RELAY), kind, str(birds), str(steps)]
     started = [
-        subprocess.Popen([*command, str(low + 1), str(high)], stdout=subprocess.PIPE, text=True)
-        for low, high in zip(bounds[:-1], bounds[1:], strict=True)
+        subprocess.Popen(
+            [*command, str(share[0]), str(share[-1])], stdout=subprocess.PIPE, text=True
+        )
+        for share in shares(birds, processes)
     ]
     times = [process.communicate(timeout=LIMIT)[0].split() for process in started]
     begun = min(float(first) for first, _ in times)
@@ -43,10 +45,10 @@ def relay(kind: str, processes: int, steps: int) -> float:
     return steps / (ended - begun)
 
 
-def fly(processes: int, steps: int, *options: str) -> float:
+def fly(processes: int, steps: int, *options: str, birds: int = BIRDS) -> float:
     """Return the steps per second of a flight."""
     command = [sys.executable, "-P", "-m", "flock_sim.fly", "--json", "--t-max", str(steps)]
-    command += ["--birds", str(BIRDS), "--processes", str(processes), *options]
+    command += ["--birds", str(birds), "--processes", str(processes), *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=True)
     return float(json.loads(done.stdout)["steps_per_second"])
 
