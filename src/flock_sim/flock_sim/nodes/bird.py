@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -17,6 +18,7 @@ from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.errors import FlockError
 from flock_sim.nodes.complaints import Complaints
+from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
@@ -39,8 +41,12 @@ class BirdNode(DrainedNode):
         *,
         context: Context | None = None,
         services: bool = False,
+        told: set[str] | None = None,
     ) -> None:
-        """Put bird 1..N on its topics; `services`: with rosout and those for parameters."""
+        """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
+
+        `told` are the reasons for ignoring messages that its process has told already.
+        """
         super().__init__(
             topics.bird_name(bird),
             namespace=topics.NAMESPACE,
@@ -72,7 +78,7 @@ class BirdNode(DrainedNode):
             other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
-        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for)
+        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, told)
 
     def drain(self) -> bool:
         """Take the stages that the protocol waits for; return whether any came."""
@@ -117,10 +123,6 @@ class BirdNode(DrainedNode):
         """What the bird needs to go on, in words."""
         return f"{self.get_name()} waits for {self.protocol.waiting_for}"
 
-    def look_around(self) -> None:
-        """Tell of what is amiss."""
-        self._complaints.tell()
-
     @property
     def outlets(self) -> Iterable[Publisher]:
         """All that it says something on."""
@@ -152,6 +154,7 @@ def work(process: Process) -> None:
             )
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
+        told: set[str] = set()
         birds = [
             BirdNode(
                 index,
@@ -159,6 +162,7 @@ def work(process: Process) -> None:
                 operation["run_id"],
                 context=process.context,
                 services=alone,
+                told=told,
             )
             for index in indices
         ]
@@ -167,8 +171,31 @@ def work(process: Process) -> None:
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
         for bird in birds:
             executor.add_node(bird)
-        keep_flying(birds, executor, process.stop, process.patience())
+        diagnostics = Diagnostics(birds[0])
+        keep_flying(
+            birds,
+            executor,
+            process.stop,
+            process.patience(),
+            lambda: diagnostics.tell(lambda: status(birds)),
+        )
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
+
+
+def status(birds: Sequence[BirdNode]) -> Status:
+    """Return what the process of `birds` tells of itself."""
+    protocols = [bird.protocol for bird in birds]
+    waiting = [bird.waiting_for for bird in birds if not bird.protocol.in_flight]
+    counts = sum((protocol.ignored_for for protocol in protocols), Counter[str]())
+    return (
+        not waiting,
+        waiting[0] if waiting else "flying",
+        {
+            "birds": ", ".join(str(protocol.bird) for protocol in protocols),
+            "step": min(protocol.step for protocol in protocols),
+            **ignored(counts),
+        },
+    )
 
 
 _main = run_node(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 from rclpy.context import Context
 from rclpy.executors import Executor
@@ -20,7 +20,7 @@ from flock_sim.core.timekeeper import Message, Timekeeper
 from flock_sim.errors import FlockError
 from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.control import Control
-from flock_sim.nodes.diagnostics import Diagnostics, ignored
+from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.endpoints import ALL, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
@@ -114,7 +114,7 @@ class ClockNode(Node):
         for message in outgoing:
             self._outlets[type(message)].publish(message.encode())
 
-    def _status(self) -> tuple[bool, str, Mapping[str, object]]:
+    def _status(self) -> Status:
         keeper = self.keeper
         now, (then, before) = time.monotonic(), self._rated
         if now > then:

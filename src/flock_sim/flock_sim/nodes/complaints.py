@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says of messages that it ignores: each reason once."""
+"""What nodes say of messages that they ignore: each reason once in a process."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ from flock_sim.core.stage_inbox import STALE
 class Complaints:
     """Looks at the counts of ignored messages of one node, and warns of each reason once."""
 
-    def __init__(self, who: str, ignored_for: Counter[str]) -> None:
-        """Speak for `who`. That messages go stale is how a flock recovers, and not told."""
+    def __init__(self, who: str, ignored_for: Counter[str], told: set[str] | None = None) -> None:
+        """Speak for `who`; `told` are the reasons that others of its process have told already.
+
+        That messages go stale is how a flock recovers, and not told.
+        """
         self._who = who
         self._ignored_for = ignored_for
-        self._told = {STALE}
+        self._told = set() if told is None else told
+        self._told.add(STALE)
 
     def tell(self) -> None:
         """Warn of reasons that are new; costs next to nothing where there are none."""
@@ -24,4 +28,4 @@ class Complaints:
             return
         for reason in self._ignored_for.keys() - self._told:
             self._told.add(reason)
-            note(f"warning: {self._who} ignores messages {reason}")
+            note(f"warning: {self._who} ignores messages {reason}; /diagnostics counts them")

@@ -15,6 +15,9 @@ EVERY = 1.0
 
 QUEUE = 10
 
+Status = tuple[bool, str, Mapping[str, object]]
+"""Whether all is well, how it is in a few words, and some values."""
+
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 
 
@@ -27,8 +30,8 @@ class Diagnostics:
         self._outlet = node.create_publisher(DiagnosticArray, "/diagnostics", QUEUE)
         self._due = time.monotonic()
 
-    def tell(self, status: Callable[[], tuple[bool, str, Mapping[str, object]]]) -> None:
-        """Report if it is time to: whether all is well, in a few words, and some values."""
+    def tell(self, status: Callable[[], Status]) -> None:
+        """Report if it is time to."""
         now = time.monotonic()
         if now < self._due:
             return

@@ -7,7 +7,7 @@ Served by an executor alone, a message costs several times what it takes to read
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from rclpy.executors import Executor
@@ -54,10 +54,17 @@ class Flier(Protocol):
         """Who waits for what, in words."""
 
 
-def keep_flying(birds: Sequence[Flier], executor: Executor, stop: Stop, patience: Patience) -> None:
+def keep_flying(
+    birds: Sequence[Flier],
+    executor: Executor,
+    stop: Stop,
+    patience: Patience,
+    look_around: Callable[[], object] = lambda: None,
+) -> None:
     """Fly `birds` to the end: drain their topics while there is work, else let the executor wait.
 
-    Returns early on `stop`. Raises RunFailed when `patience` runs out.
+    Calls `look_around` now and then. Returns early on `stop`. Raises RunFailed when `patience` runs
+    out.
     """
     sweeps = fruitless = reports = 0
     while True:
@@ -72,6 +79,7 @@ def keep_flying(birds: Sequence[Flier], executor: Executor, stop: Stop, patience
                 continue
         if stop:
             return
+        look_around()
         for bird in birds:
             if bird.drain_rare():
                 moved = True

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,7 @@ from flock_sim.core.stage_inbox import FOREIGN, MALFORMED, NEVER, STALE
 from flock_sim.core.terms import agree
 from flock_sim.errors import FlockError
 from flock_sim.nodes.complaints import Complaints
-from flock_sim.nodes.diagnostics import Diagnostics, ignored
+from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.endpoints import DrainedNode, latched
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
@@ -282,7 +282,7 @@ class RecorderNode(DrainedNode):
         progress = messages.Progress(self._run_id, step, self._epoch, topics.RECORDER, self._life)
         self._progress.publish(progress.encode())
 
-    def _status(self) -> tuple[bool, str, Mapping[str, object]]:
+    def _status(self) -> Status:
         saved = self._run.saved
         words = f"step {saved} of {self._configuration.steps} is on disk"
         return (
