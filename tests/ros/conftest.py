@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A terminal, or a ROS context in this process, for every test; each on a domain of its own."""
+"""A terminal, or a ROS context in this process, for every test; each on a domain of its own.
+
+A visitor of a terminal is on the domain of the terminal.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from rclpy.context import Context
 
 from flock_sim.nodes.process import ros_context
 from terminal import Terminal, open_terminal, own_domain
+from visitor import Visitor, visiting
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -26,6 +30,13 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
     """A terminal; at its end nothing may be left of what was started in it."""
     with open_terminal(tmp_path / "terminal") as opened:
         yield opened
+
+
+@pytest.fixture
+def visitor(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
+    """A node of this process, on the domain of the terminal."""
+    with visiting(terminal, monkeypatch) as visitor:
+        yield visitor
 
 
 @pytest.fixture

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Somebody else on the ROS domain of a test's terminal: a node in the process of the test."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from flock_sim.nodes.endpoints import latched
+from flock_sim.nodes.process import ros_context
+from flock_sim.shared_memory import remove_orphans
+from terminal import Terminal
+
+DEADLINE = 60.0
+"""Time, in s, within which a node must answer, or say what is waited for."""
+
+
+class Visitor:
+    """Listens to a flock, asks it for things, and talks to it."""
+
+    def __init__(self, terminal: Terminal, context: Context) -> None:
+        """Be a node on the terminal's domain."""
+        self.node = Node(
+            "visitor", context=context, start_parameter_services=False, enable_rosout=False
+        )
+        self._terminal = terminal
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        """Leave."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+    def until(self, condition: Callable[[], Any]) -> Any:
+        """Serve the node until `condition` is true, and return what it gave."""
+        deadline = time.monotonic() + DEADLINE
+        while not (value := condition()):
+            assert time.monotonic() < deadline, f"not within {DEADLINE:g} s"
+            self._terminal.look()
+            self._executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def ask(self, kind: Any, name: str, **request: Any) -> Any:
+        """Call a service, and return what it answers."""
+        client = self.node.create_client(kind, name)
+        try:
+            assert client.wait_for_service(DEADLINE), name
+            future = client.call_async(kind.Request(**request))
+            self.until(future.done)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def hear(self, kind: Any, topic: str, *, raw: bool = False, depth: int = 100) -> list[Any]:
+        """Return a list that grows with the messages on a latched topic."""
+        heard: list[Any] = []
+        self.node.create_subscription(kind, topic, heard.append, latched(depth), raw=raw)
+        return heard
+
+    def diagnostics(self, who: str) -> list[DiagnosticStatus]:
+        """Return a list that grows with what /diagnostics tells of `who`, once a second."""
+        heard: list[DiagnosticStatus] = []
+
+        def hear(array: DiagnosticArray) -> None:
+            heard.extend(status for status in array.status if status.name == who)
+
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
+        return heard
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    """Return what a status tells, by key."""
+    return {pair.key: pair.value for pair in status.values}
+
+
+@contextmanager
+def visiting(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
+    """Give a visitor of what is started in `terminal`."""
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
+        monkeypatch.setenv(name, terminal.environment[name])
+    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    visitor = Visitor(terminal, context)
+    try:
+        yield visitor
+    finally:
+        visitor.close()
+        rclpy.try_shutdown(context=context)
+        remove_orphans()  # our port stays where somebody was killed who had it open
