@@ -52,6 +52,7 @@ class ClockNode(Node):
         """Steps a second, lately."""
         self._rated = (time.monotonic(), 0)
         self._led = False
+        self._outdone = False  # by another clock, which leads this run
         self._outlets = {
             messages.Grant: self.create_publisher(Grant, topics.GRANT_TOPIC, latched(1)),
             messages.Time: self.create_publisher(Clock, topics.CLOCK_TOPIC, latched(depth)),
@@ -74,7 +75,15 @@ class ClockNode(Node):
         self._send([self.keeper.grant])
 
     def look_around(self) -> None:
-        """Tell of what is amiss, and how the flight goes."""
+        """Tell of what is amiss, and how the flight goes.
+
+        Raises FlockError where another clock leads the run: in a callback, rclpy would tell of it.
+        """
+        if self._outdone:
+            raise FlockError(
+                f"another clock leads run {self.keeper.run_id}: end it first, or give this one "
+                "another run_id"
+            )
         self._led |= self.keeper.begun
         self._complaints.tell()
         self._diagnostics.tell(self._status)
@@ -104,11 +113,7 @@ class ClockNode(Node):
             return
         ours = self.keeper.grant
         ahead = (grant.epoch, grant.step) > (ours.epoch, ours.step)
-        if grant.run_id == ours.run_id and ahead and not self._led:
-            raise FlockError(
-                f"another clock leads run {grant.run_id}: end it first, or give this one another "
-                "run_id"
-            )
+        self._outdone |= grant.run_id == ours.run_id and ahead and not self._led
 
     def _send(self, outgoing: Iterable[Message]) -> None:
         for message in outgoing:
