@@ -325,6 +325,11 @@ def work(process: Process) -> None:
         raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
     output = Path(operation["output"])
     resume = operation["resume"] and output.is_dir()
+    if output.exists() and not resume and not operation["force"]:
+        raise FlockError(
+            f"output {output} exists: go on with it by -p resume:=true, replace it by "
+            "-p force:=true, or name another output"
+        )
     if not resume:
         claim_output(output, operation["force"])
     with (
