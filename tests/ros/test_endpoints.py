@@ -60,6 +60,7 @@ def test_every_topic_has_who_should_send_and_hear_it(context: Context, tmp_path:
         "/flock/clock/grant": ({"clock"}, {"clock", "recorder", *BIRDS}),
         "/flock/checkpoint": ({"clock", "recorder"}, set(BIRDS)),
         "/flock/progress": ({"recorder", *BIRDS}, {"clock"}),
+        "/flock/perturbation": ({"clock"}, {"recorder"}),
     }
     for bird in BIRDS:
         expected |= {
@@ -137,6 +138,7 @@ def test_queues_are_as_deep_as_what_may_be_under_way() -> None:
     assert topics.depth(topics.PROGRESS_TOPIC, CONFIGURATION) == 1
     assert topics.depth(topics.CHECKPOINT_TOPIC, CONFIGURATION) == 1
     assert topics.depth(topics.GRANT_TOPIC, CONFIGURATION) == 1
+    assert topics.depth(topics.PERTURBATION_TOPIC, CONFIGURATION) >= 100
 
 
 @pytest.mark.parametrize("kind", ["events", "single"])
