@@ -18,6 +18,7 @@ from flock_interfaces.msg import Progress
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.timekeeper import Timekeeper
+from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.clock import ClockNode
 from flock_sim.nodes.endpoints import DrainedNode, latched
@@ -43,6 +44,8 @@ def flock(context: Context, directory: Path) -> Iterator[dict[str, Node]]:
         }
         for node in nodes.values():
             stack.callback(node.destroy_node)
+        for name in BIRDS:
+            Announcements([nodes[name]])
         yield nodes
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -11,18 +12,22 @@ from typing import TypeVar
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Progress
+from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.errors import FlockError
+from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.process import Process, executing, new_life, run_node
+
+REPORTS = latched(1000)
+"""How reports to the clock are sent: those of all birds of a process by one publisher."""
 
 FAREWELL = 1.0
 """Longest wait, in s, for whoever else listens; the flock itself needs released birds no more."""
@@ -41,11 +46,11 @@ class BirdNode(DrainedNode):
         *,
         context: Context | None = None,
         services: bool = False,
-        told: set[str] | None = None,
+        first: BirdNode | None = None,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
 
-        `told` are the reasons for ignoring messages that its process has told already.
+        `first` is that of its process, if there are others: they report and complain together.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -59,17 +64,21 @@ class BirdNode(DrainedNode):
             Channel.WING: (BirdWing, topics.wing_topic(bird)),
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
             Channel.STATE: (BirdState, topics.state_topic(bird)),
-            Channel.PROGRESS: (Progress, topics.PROGRESS_TOPIC),
         }
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
             for channel, (kind, topic) in outlets.items()
         }
+        if first is None:
+            self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, REPORTS)
+            self._outlets[Channel.PROGRESS] = self.reports
+            self.told: set[str] = set()
+        else:
+            self.reports, self.told = first.reports, first.told
         self._publish: dict[Channel, Callable[[bytes], None]] = {
             channel: outlet.publish for channel, outlet in self._outlets.items()
         }
-        self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
-        self._checkpoints = self.subscribe_drained(Checkpoint, topics.CHECKPOINT_TOPIC)
+        self._publish[Channel.PROGRESS] = self.reports.publish
         self._wings = {
             other: self.subscribe_drained(BirdWing, topics.wing_topic(other))
             for other in self.protocol.neighbours
@@ -78,7 +87,7 @@ class BirdNode(DrainedNode):
             other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
-        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, told)
+        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, self.told)
 
     def drain(self) -> bool:
         """Take the stages that the protocol waits for; return whether any came."""
@@ -92,20 +101,14 @@ class BirdNode(DrainedNode):
         return moved
 
     def drain_rare(self) -> bool:
-        """Take leave and, before the flight, checkpoints and wings; return whether any came."""
+        """Take wings, before the flight; return whether any came."""
         protocol = self.protocol
         moved = False
-        while (data := self._grants.take()) is not None:
-            moved = True
-            self._hear(messages.Grant, protocol.receive_grant, data)
         if not protocol.in_flight:
-            while (data := self._checkpoints.take()) is not None:
-                moved = True
-                self._hear(messages.Checkpoint, protocol.receive_checkpoint, data)
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
                     moved = True
-                    self._hear(messages.Wing, protocol.receive_wing, data)
+                    self.hear(messages.Wing, protocol.receive_wing, data)
         self._complaints.tell()
         return moved
 
@@ -128,9 +131,10 @@ class BirdNode(DrainedNode):
         """All that it says something on."""
         return self._outlets.values()
 
-    def _hear(
+    def hear(
         self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
     ) -> None:
+        """Let its protocol `receive` a message, and send what that answers."""
         try:
             message = kind.decode(data)
         except ValueError:
@@ -154,31 +158,31 @@ def work(process: Process) -> None:
             )
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
-        told: set[str] = set()
-        birds = [
-            BirdNode(
-                index,
-                configuration,
-                operation["run_id"],
-                context=process.context,
-                services=alone,
-                told=told,
+        birds: list[BirdNode] = []
+        for index in indices:
+            birds.append(
+                BirdNode(
+                    index,
+                    configuration,
+                    operation["run_id"],
+                    context=process.context,
+                    services=alone,
+                    first=birds[0] if birds else None,
+                )
             )
-            for index in indices
-        ]
         if alone:
             operation = {**operation, "index": indices[0]}
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
         for bird in birds:
             executor.add_node(bird)
-        diagnostics = Diagnostics(birds[0])
-        keep_flying(
-            birds,
-            executor,
-            process.stop,
-            process.patience(),
-            lambda: diagnostics.tell(lambda: status(birds)),
-        )
+        announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
+
+        def look_around() -> bool:
+            diagnostics.tell(lambda: status(birds))
+            return announcements.drain()
+
+        gc.freeze()  # what is here stays: no need to look through it again and again
+        keep_flying(birds, executor, process.stop, process.patience(), look_around)
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
 
 

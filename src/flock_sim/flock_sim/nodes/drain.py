@@ -59,12 +59,12 @@ def keep_flying(
     executor: Executor,
     stop: Stop,
     patience: Patience,
-    look_around: Callable[[], object] = lambda: None,
+    look_around: Callable[[], bool] = lambda: False,
 ) -> None:
     """Fly `birds` to the end: drain their topics while there is work, else let the executor wait.
 
-    Calls `look_around` now and then. Returns early on `stop`. Raises RunFailed when `patience` runs
-    out.
+    Calls `look_around` now and then; it returns whether anything came. Returns early on `stop`.
+    Raises RunFailed when `patience` runs out.
     """
     sweeps = fruitless = reports = 0
     while True:
@@ -79,7 +79,7 @@ def keep_flying(
                 continue
         if stop:
             return
-        look_around()
+        moved |= look_around()
         for bird in birds:
             if bird.drain_rare():
                 moved = True

@@ -9,6 +9,7 @@ from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -59,7 +60,17 @@ class DrainedNode(Node):
     (waiting, parameters, services, rare topics) to the executor.
     """
 
-    _drained: tuple[Subscription, ...] = ()
+    _drained: frozenset[Subscription] = frozenset()
+
+    def __init__(self, name: str, *, start_parameter_services: bool, **options: Any) -> None:
+        """Make a node as rclpy does; without services for parameters, there are none at all."""
+        silent = Parameter("start_type_description_service", value=start_parameter_services)
+        super().__init__(
+            name,
+            start_parameter_services=start_parameter_services,
+            parameter_overrides=[silent],
+            **options,
+        )
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -69,7 +80,7 @@ class DrainedNode(Node):
     def subscribe_drained(self, message_type: Any, topic: str) -> Inlet:
         """Subscribe to `topic`; the messages wait in the returned inlet."""
         subscription = self.create_subscription(message_type, topic, lambda _: None, ALL, raw=True)
-        self._drained += (subscription,)
+        self._drained |= {subscription}
         return Inlet(subscription)
 
 
