@@ -32,6 +32,7 @@ bench: setup  ## measure throughput
 	@if grep -q '^[^#]' requirements/bench.txt; then \
 		./flock python -m pip install --quiet --no-deps -r requirements/bench.txt; fi
 	@./flock python benchmarks/run.py
+	@./flock python benchmarks/scaling.py
 
 clean:  ## remove all that was built; recorded flights stay
 	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis

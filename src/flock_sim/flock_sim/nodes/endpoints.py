@@ -62,7 +62,7 @@ class DrainedNode(Node):
 
     _drained: frozenset[Subscription] = frozenset()
 
-    def __init__(self, name: str, *, start_parameter_services: bool, **options: Any) -> None:
+    def __init__(self, name: str, *, start_parameter_services: bool = True, **options: Any) -> None:
         """Make a node as rclpy does; without services for parameters, there are none at all."""
         silent = Parameter("start_type_description_service", value=start_parameter_services)
         super().__init__(
