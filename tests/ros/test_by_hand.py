@@ -143,7 +143,7 @@ def test_bad_parameters_are_refused_in_one_line(
     assert list(terminal.directory.iterdir()) == []
 
 
-STEPS = 3000
+STEPS = 9000
 LONG = f"""\
 /**:
   ros__parameters:

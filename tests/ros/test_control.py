@@ -22,7 +22,7 @@ from flock_sim.run import Run
 from terminal import Job, Terminal
 from visitor import Visitor, values
 
-STEPS = 6000
+STEPS = 15000
 EVERY = 10
 FLOCK = ("--birds", 2, "--t-max", STEPS, "--record-every", EVERY, "--span-ratio", "2=0.97,1.03")
 STATES = 2 * (STEPS // EVERY + 1)

@@ -85,7 +85,7 @@ def test_two_flocks_by_hand_with_run_ids_do_not_touch_each_other(terminal: Termi
 
 
 def test_forged_messages_of_all_kinds_change_no_bit(terminal: Terminal, visitor: Visitor) -> None:
-    steps = 10000
+    steps = 20000
     flock = ("--birds", 3, "--t-max", steps, "--record-every", EVERY, "--span-ratio", "2=0.97")
     heard = {topic: visitor.hear(kind, topic, raw=True, depth=1) for topic, kind in KINDS.items()}
     outlets = {
