@@ -16,8 +16,9 @@ demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measur
 test: setup  ## run all tests
 	@./flock python -m pytest $(PYTEST_ARGS)
 
-torture: setup  ## kill the processes of flights a hundred times at random; their bags must not show it
+torture: setup  ## kill the processes of flights a hundred times at random, and pelt a bird with forgeries
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
+	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/test_stage_fuzz.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check

@@ -73,7 +73,9 @@ def tool(arguments: Sequence[str]) -> int:
     plan = _plan(options, resumed)
     if resumed and resumed.complete:
         note(f"{options.resume} is complete: nothing to go on with")
-        flight = {"steps_per_second": 0.0, "wall_seconds": 0.0, "output": str(options.resume)}
+        how = dict.fromkeys(("steps_per_second", "start_seconds", "wall_seconds"), 0.0)
+        counts = dict.fromkeys(("steps_flown_again", "rewinds", "restarts"), 0)
+        flight = {**how, **counts, "output": str(options.resume)}
         report(flight, plan.configuration, options.json)
         return 0
     prepare_discovery(options.network)
@@ -82,9 +84,9 @@ def tool(arguments: Sequence[str]) -> int:
     with own_domain():
         if plan.output is not None:
             _prepare(plan.output, plan, options.force)
-        flight = _fly(plan)
+        flown = _fly(plan)
     flight = {
-        **flight,
+        **flown,
         "wall_seconds": time.monotonic() - plan.begun,
         "output": None if plan.output is None else str(plan.output),
     }
