@@ -217,7 +217,10 @@ def by_hand(
             kill(pid)
             jobs[who].wait()
         for who, job in jobs.items():
-            if not job.running and job.process.returncode < 0:
+            if job.running:
+                continue
+            assert job.process.returncode <= 0, f"{who}: {job.stderr}"
+            if job.process.returncode < 0:
                 jobs[who] = terminal.start(*commands[who])
         time.sleep(0.01)  # between two looks at processes, which nothing announces
     assert jobs["recorder"].wait().status == 0, jobs["recorder"].stderr

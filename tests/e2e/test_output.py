@@ -140,7 +140,7 @@ def test_the_defaults_are_those_of_the_contract(terminal: Terminal) -> None:
         "birds": 13, "coupling": "nearest", "dt": 1.0, "t_max": 10000.0, "record_every": 10,
         "body_mass": 3.8, "wing_span": 1.5, "air_density": 1.225, "min_drag_speed": 18.0,
         "cruise_speed": 18.5, "oswald_efficiency": 0.8, "zero_lift_drag": 0.025,
-        "aspect_ratio": 9.0, "span_ratios": [],
+        "aspect_ratio": 9.0, "span_ratios": [], "perturbations": [],
     }  # fmt: skip
 
 

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 from flock_sim.errors import RunFailed
 
-SAY_AFTER = 3.0
-"""Silence, in s, after which it is said what is waited for."""
+SAY_AFTER = 10.0
+"""Silence, in s, after which it is said what is waited for: half of a timeout that is shorter than
+twice that. Processes that are starting are silent for several seconds."""
 
 
 class Patience:
@@ -34,7 +35,7 @@ class Patience:
     def wait(self, waiting: Callable[[], str]) -> None:
         """Go on waiting. `waiting` tells who waits for what. Raises RunFailed when it is enough."""
         silence = self.silence
-        if silence < min(SAY_AFTER, self._timeout):
+        if silence < min(SAY_AFTER, 0.5 * self._timeout):
             self._said = ""
             return
         what = waiting()
