@@ -90,12 +90,12 @@ class Watch:
 
 
 def test_a_flock_pauses_goes_on_by_steps_and_flies_on(terminal: Terminal, visitor: Visitor) -> None:
-    # Longer than the timeout: seven reports, one a second.
-    job = in_flight(terminal, "--timeout", 5)
+    # Longer than the timeout, which starting must fit into: 22 reports, one a second.
+    job = in_flight(terminal, "--timeout", 20)
     watch = Watch(visitor)
     paused = step_in(trigger(visitor, "pause"))
     assert paused < STEPS
-    watch.until_paused_at(paused, reports=7)
+    watch.until_paused_at(paused, reports=22)
     for steps in (1, 37):
         answer = visitor.ask(Step, "/flock/clock/step", steps=steps)
         paused += steps
