@@ -19,7 +19,7 @@ SHARED_MEMORY = Path("/dev/shm")
 SEGMENT = re.compile(r"fastrtps_([0-9a-f]{16}|port\d+)")
 LOCKS = ("_el", "_sl")
 
-YOUNGEST = 0.2
+YOUNGEST = 2.0
 """Age, in s, below which something without a lock file may still be in the making."""
 
 
