@@ -162,12 +162,12 @@ def test_a_recorder_that_is_killed_is_named_and_what_it_wrote_is_read(terminal: 
 
 
 def test_a_worker_that_hangs_in_mid_flight_is_named(terminal: Terminal) -> None:
-    job = in_flight(terminal, "--processes", 3, "--timeout", 10)
+    job = in_flight(terminal, "--processes", 3, "--timeout", 25)
     (pid,) = [pid for pid in job.workers(BIRD) if is_of(pid, [3])]
     os.kill(pid, signal.SIGSTOP)
     done = job.wait()
     assert done.status == 1
-    assert "no progress for 10 s" in done.error
+    assert "no progress for 25 s" in done.error
     assert "bird_03" in done.error
     assert_readable(terminal, complete=True)
 
