@@ -9,7 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from flock_sim import shared_memory
 from flock_sim.shared_memory import YOUNGEST, remove_orphans
+
+
+@pytest.fixture(autouse=True)
+def held_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lock files that a test makes are as old as they need to be."""
+    monkeypatch.setattr(shared_memory, "UNHELD", -1.0)
 
 
 @pytest.fixture

@@ -19,6 +19,9 @@ SHARED_MEMORY = Path("/dev/shm")
 SEGMENT = re.compile(r"fastrtps_([0-9a-f]{16}|port\d+)")
 LOCKS = ("_el", "_sl")
 
+UNHELD = 0.2
+"""Age, in s, below which a lock file may not be held yet by the process that has made it."""
+
 YOUNGEST = 2.0
 """Age, in s, below which something without a lock file may still be in the making."""
 
@@ -33,7 +36,8 @@ def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
         with suppress(OSError), ExitStack() as held:  # in use, somebody else's, or gone by now
             for lock in locks:
                 held.enter_context(_held(lock))
-            if locks or time.time() - orphan.stat().st_ctime > YOUNGEST:
+            age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
+            if age > (UNHELD if locks else YOUNGEST):
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
 
