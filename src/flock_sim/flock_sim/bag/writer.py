@@ -175,16 +175,7 @@ class BagWriter:
 
     def leave(self) -> None:
         """Flush, and leave the bag without an end, to be gone on with later."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            if self._failure is None:
-                self.flush()
-        finally:
-            self._reserve.free()
-            self._file.close()
-            self._refuse_closed()
+        self._end(self._let_go)
 
     def close(self) -> None:
         """Flush, write the summary, and then metadata.yaml; a second call does nothing.
@@ -192,6 +183,10 @@ class BagWriter:
         Raises RunFailed when the last messages or the summary can't be stored, but not again
         for what an earlier `flush` has raised.
         """
+        self._end(self._complete)
+
+    def _end(self, how: Callable[[], None]) -> None:
+        """Flush and end it `how`, once; nothing can be written from then on."""
         if self._closed:
             return
         self._closed = True
@@ -199,8 +194,12 @@ class BagWriter:
             if self._failure is None:
                 self.flush()
         finally:
-            self._complete()
+            how()
             self._refuse_closed()
+
+    def _let_go(self) -> None:
+        self._reserve.free()
+        self._file.close()
 
     def __enter__(self) -> "BagWriter":
         return self

@@ -179,8 +179,8 @@ class RecorderNode(DrainedNode):
     def _hear_grant(self, data: bytes) -> None:
         try:
             grant = messages.Grant.decode(data)
-            if self._run_id not in (0, grant.run_id) or grant.epoch < self._epoch:
-                foreign = self._run_id not in (0, grant.run_id)
+            foreign = self._run_id not in (0, grant.run_id)
+            if foreign or grant.epoch < self._epoch:
                 self.ledger.ignored_for[FOREIGN if foreign else STALE] += 1
                 return
             if self._epoch == NEVER:
