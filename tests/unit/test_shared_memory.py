@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import fcntl
+import mmap
 import time
 from pathlib import Path
 
@@ -53,6 +54,18 @@ def test_a_segment_that_is_held_stays(memory: Path, lock: int) -> None:
         fcntl.flock(other, lock)
         remove_orphans(memory)
     assert {path.name for path in memory.iterdir()} == held
+
+
+@pytest.mark.parametrize("file", ["fastrtps_port7411", "sem.fastrtps_port7411_mutex"])
+def test_what_somebody_has_mapped_stays(memory: Path, file: str) -> None:
+    # Its owner has ended and given up its lock; whoever has it mapped removes it, or takes it over.
+    files = segment(memory, "port7411", mutex=True)
+    (memory / file).write_bytes(bytes(mmap.PAGESIZE))
+    with (memory / file).open("r+b") as opened, mmap.mmap(opened.fileno(), 0):
+        remove_orphans(memory)
+        assert {path.name for path in memory.iterdir()} == files
+    remove_orphans(memory)
+    assert list(memory.iterdir()) == []
 
 
 def test_one_without_a_lock_file_is_removed_when_it_is_no_longer_in_the_making(

@@ -96,7 +96,6 @@ class Crew:
             )
         self.deaths += 1
         note(f"{hand.who} {_ended(status)}: started again")
-        remove_orphans()
         with _interrupt_deferred():
             _run(hand)
 

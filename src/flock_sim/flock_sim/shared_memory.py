@@ -37,7 +37,7 @@ def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
             for lock in locks:
                 held.enter_context(_held(lock))
             age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
-            if age > (UNHELD if locks else YOUNGEST):
+            if age > (UNHELD if locks else YOUNGEST) and name not in _mapped():
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
 
@@ -51,3 +51,18 @@ def _held(lock: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def _mapped() -> set[str]:
+    """Return the names of the segments and ports that processes of this machine have mapped.
+
+    Who ends in order gives up the lock of its port at once, but others may have the port, or its
+    mutex, mapped for some time yet. The last of them removes it by its name: had we done so before,
+    and had somebody new that name by then, nobody who comes later could reach it.
+    """
+    names = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # somebody else's, or gone by now
+            maps = (process / "maps").read_text(encoding="utf-8", errors="replace")
+            names |= {match[0] for match in SEGMENT.finditer(maps)}
+    return names
