@@ -34,6 +34,7 @@ from flock_sim.recording import lay_down
 from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.resume import Resumable, resumable
 from flock_sim.shares import shares
+from flock_sim.standard_output import results_only_on_stdout
 
 PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
@@ -81,7 +82,7 @@ def tool(arguments: Sequence[str]) -> int:
     prepare_discovery(options.network)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _terminated)
-    with own_domain():
+    with own_domain(), results_only_on_stdout():
         if plan.output is not None:
             _prepare(plan.output, plan, options.force)
         flown = _fly(plan)

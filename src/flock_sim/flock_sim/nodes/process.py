@@ -30,6 +30,7 @@ from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
 from flock_sim.nodes.patience import Patience
 from flock_sim.shared_memory import remove_orphans
+from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
 
 # How a node operates, as opposed to what is flown: any of the nodes may be given any of these.
@@ -127,14 +128,16 @@ def run_node(
         if supervised:
             _follow_parent()
         prepare_discovery(options.network)
-        context = ros_context(arguments)
-        try:
-            configuration, operation = _parameters(name, context)
-            if options.timeout is not None:
-                operation["timeout"] = positive_number("--timeout", options.timeout)
-            work(Process(configuration, operation, context, stop, supervised))
-        finally:
-            rclpy.try_shutdown(context=context)
+        with results_only_on_stdout():
+            context = ros_context(arguments)
+            try:
+                configuration, operation = _parameters(name, context)
+                if options.timeout is not None:
+                    operation["timeout"] = positive_number("--timeout", options.timeout)
+                work(Process(configuration, operation, context, stop, supervised))
+            finally:
+                rclpy.try_shutdown(context=context)
+        if not supervised:
             remove_orphans()
         return stop.exit_status
 

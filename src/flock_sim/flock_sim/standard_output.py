@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standard output is for results: what a middleware prints there goes to standard error."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+STDOUT, STDERR = 1, 2
+
+
+@contextmanager
+def results_only_on_stdout() -> Iterator[None]:
+    """Send to standard error, in the block, what this process and its children print.
+
+    Fast DDS says on standard output what it has to complain of, in the middle of our JSON.
+    """
+    sys.stdout.flush()
+    kept = os.dup(STDOUT)
+    os.dup2(STDERR, STDOUT)
+    try:
+        yield
+    finally:
+        os.dup2(kept, STDOUT)
+        os.close(kept)
