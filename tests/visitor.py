@@ -15,6 +15,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from flock_sim.discovery import PROFILES, prepare_discovery
 from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.process import ros_context
 from flock_sim.shared_memory import remove_orphans
@@ -83,11 +84,19 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
+def tell_fast_dds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have Fast DDS in this process know what the tools tell it: it reads that once."""
+    for name in PROFILES:
+        monkeypatch.setenv(name, "")
+    prepare_discovery()
+
+
 @contextmanager
 def visiting(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
     """Give a visitor of what is started in `terminal`."""
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, terminal.environment[name])
+    tell_fast_dds(monkeypatch)
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     visitor = Visitor(terminal, context)
     try:

@@ -15,7 +15,7 @@ from rclpy.context import Context
 
 from flock_sim.nodes.process import ros_context
 from terminal import Terminal, open_terminal, own_domain
-from visitor import Visitor, visiting
+from visitor import Visitor, tell_fast_dds, visiting
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -46,6 +46,7 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with own_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        tell_fast_dds(monkeypatch)
         made = ros_context(["--ros-args", "--disable-external-lib-logs"])
         try:
             yield made

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -15,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from flock_interfaces.msg import Progress
-from flock_sim.core import topics
+from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.timekeeper import Timekeeper
 from flock_sim.nodes.announcements import Announcements
@@ -155,3 +156,70 @@ def test_an_executor_of_either_kind_destroys_its_nodes(context: Context, kind: s
     assert node not in executor.get_nodes()
     with pytest.raises(Exception, match=r"."):
         node.create_publisher(Progress, "late", 1)
+
+
+def test_a_queue_that_nobody_empties_turns_nothing_away(context: Context) -> None:
+    # Another flight on the domain says thousands of stages a second; Fast DDS would keep 5000, and
+    # what our own process said then would be lost for good.
+    node = DrainedNode("listener", context=context)
+    said = node.create_publisher(Progress, topics.PROGRESS_TOPIC, latched(1))
+    inlet = node.subscribe_drained(Progress, topics.PROGRESS_TOPIC)
+    until(lambda: inlet.connected)
+    for step in range(12_000):
+        said.publish(messages.Progress(1, step, 1, "somebody").encode())
+    heard = [messages.Progress.decode(data).step for data in iter(inlet.take, None)]
+    node.destroy_node()
+    assert heard == list(range(12_000))
+
+
+class Stub:
+    """An inlet in which messages wait, of somebody who has gone since."""
+
+    connected = False
+
+    def __init__(self, *waiting: bytes) -> None:
+        self.waiting = list(waiting)
+
+    def take(self) -> bytes | None:
+        return self.waiting.pop(0) if self.waiting else None
+
+
+def test_what_others_say_is_taken_out_and_is_no_news(context: Context) -> None:
+    # No news: a bird whose clock is gone gives up, however much another flock talks.
+    bird = BirdNode(2, CONFIGURATION, 7, context=context)
+    one = np.ones(1)
+    foreign = messages.Stage(8, 0, 1, 1, 0, one, one, one).encode()
+    ours = messages.Stage(7, 0, 1, 1, 0, one, one, one).encode()
+    for take in (bird.drain, bird.drain_rare):
+        bird._stages = {1: Stub(*[foreign] * 100), 3: Stub(foreign)}
+        assert not take()
+        assert not any(inlet.waiting for inlet in bird._stages.values())
+    bird._stages = {1: Stub(*[foreign] * 100, ours), 3: Stub()}
+    assert bird.drain()
+    bird._wings[1] = Stub(messages.Wing(8, 1, one).encode())
+    assert not bird.drain_rare()
+    grant = messages.Grant(8, 0, CONFIGURATION.steps, 1.0, 1).encode()
+    announcements = Announcements([bird])
+    announcements._grants = Stub(grant)
+    assert not announcements.drain()
+    assert bird.protocol.ignored == 101 + 101 + 100 + 1 + 1
+    bird.destroy_node()
+
+
+def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
+    context: Context, tmp_path: Path
+) -> None:
+    with flock(context, tmp_path) as nodes:
+        recorder = nodes["recorder"]
+        one = np.ones(1)
+        state = messages.State.at(CONFIGURATION, 0, one, one, one, one, 8, 1).encode()
+        wing = messages.Wing(8, 1, one).encode()
+        states, wings = Stub(state), Stub(wing)
+        recorder._sources = [
+            (states, recorder.ledger.add_state, 1),
+            (wings, recorder._hear_wing, 1),
+        ]
+        recorder._times = Stub(messages.Time.at(0).encode())
+        recorder.drain()
+        assert states.waiting == recorder._times.waiting == []
+        assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"

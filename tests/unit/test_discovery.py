@@ -43,26 +43,38 @@ def test_an_environment_that_is_against_the_network_is_not_overruled(monkeypatch
         prepare_discovery(network=True)
 
 
-def test_on_one_machine_fast_dds_is_left_as_it_is():
-    prepare_discovery()
-    assert [os.environ[name] for name in PROFILES] == ["", ""]
+DDS = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 
 
-def test_on_a_network_losses_are_repaired_soon():
-    prepare_discovery(network=True)
+def settings(kind, network):
+    """What Fast DDS is told of all readers or all writers."""
+    prepare_discovery(network)
     (file,) = {os.environ[name] for name in PROFILES}
-    namespace = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
-    (writer,) = ElementTree.parse(file).findall(".//dds:data_writer", namespace)
-    assert writer.get("is_default_profile") == "true"
-    period = writer.findtext("dds:times/dds:heartbeatPeriod/dds:nanosec", None, namespace)
+    (profile,) = ElementTree.parse(file).findall(f".//dds:{kind}", DDS)
+    assert profile.get("is_default_profile") == "true"
+    return profile
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_losses_are_repaired_soon(network):
+    writer = settings("data_writer", network)
+    period = writer.findtext("dds:times/dds:heartbeatPeriod/dds:nanosec", None, DDS)
     assert period is not None
     assert int(period) < 100e6  # Fast DDS would take 3 s
 
 
+@pytest.mark.parametrize("network", [False, True])
+def test_no_queue_can_be_full(network):
+    (limits,) = settings("data_reader", network).findall("dds:topic/dds:resourceLimitsQos", DDS)
+    assert {limit.text for limit in limits} == {"0"}  # to Fast DDS, none
+    assert len(limits) == 3
+
+
 @pytest.mark.parametrize("name", [*PROFILES, TRANSPORTS])
-def test_what_a_user_has_told_fast_dds_stays(monkeypatch, name):
+@pytest.mark.parametrize("network", [False, True])
+def test_what_a_user_has_told_fast_dds_stays(monkeypatch, name, network):
     monkeypatch.setenv(name, "mine")
-    prepare_discovery(network=True)
+    prepare_discovery(network)
     assert {os.environ[each] for each in PROFILES if each != name} == {""}
     assert os.environ[name] == "mine"
 

@@ -67,12 +67,11 @@ def prepare_discovery(network: bool = False) -> None:
     if network and reach in NARROW:
         raise FlockError(f"{RANGE} = {reach} and --network exclude each other: leave one out")
     os.environ[RANGE] = reach
-    if network:
-        _prepare_for_network()
+    _tell_fast_dds("network.xml" if network else "machine.xml")
 
 
-def _prepare_for_network() -> None:
-    """Give Fast DDS our settings for networks, unless the environment has some."""
+def _tell_fast_dds(file: str) -> None:
+    """Give Fast DDS our settings in `file`, unless the environment has some."""
     if not any(os.environ.get(name) for name in (*PROFILES, TRANSPORTS)):
-        settings = Path(get_package_share_directory("flock_sim")) / "network.xml"
+        settings = Path(get_package_share_directory("flock_sim")) / file
         os.environ.update(dict.fromkeys(PROFILES, str(settings)))

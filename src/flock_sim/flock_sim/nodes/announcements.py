@@ -27,14 +27,12 @@ class Announcements:
         self._checkpoints = birds[0].subscribe_drained(Checkpoint, topics.CHECKPOINT_TOPIC)
 
     def drain(self) -> bool:
-        """Take what has come, and let all birds hear it; return whether anything had."""
+        """Take what has come, and let all birds hear it; return whether it was for any of them."""
         moved = False
         while (data := self._grants.take()) is not None:
-            moved = True
             for bird in self._birds:
-                bird.hear(messages.Grant, bird.protocol.receive_grant, data)
+                moved |= bird.hear(messages.Grant, bird.protocol.receive_grant, data)
         while (data := self._checkpoints.take()) is not None:
-            moved = True
             for bird in self._birds:
-                bird.hear(messages.Checkpoint, bird.protocol.receive_checkpoint, data)
+                moved |= bird.hear(messages.Checkpoint, bird.protocol.receive_checkpoint, data)
         return moved

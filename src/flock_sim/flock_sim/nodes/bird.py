@@ -90,25 +90,31 @@ class BirdNode(DrainedNode):
         self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, self.told)
 
     def drain(self) -> bool:
-        """Take the stages that the protocol waits for; return whether any came."""
-        protocol = self.protocol
+        """Take the stages that the protocol waits for; return whether any came.
+
+        Where it waits for none, whatever is there: a queue that is full of another flight's would
+        turn away our neighbours'.
+        """
+        missing = tuple(self.protocol.missing)
+        if not missing:
+            return self._take_all_stages()
         moved = False
-        for other in tuple(protocol.missing):
-            data = self._stages[other].take()
-            if data is not None:
-                moved = True
-                self._send(protocol.receive_stage(data))
+        for other in missing:
+            take = self._stages[other].take
+            while (data := take()) is not None:
+                if self._take_stage(data):
+                    moved = True
+                    break
         return moved
 
     def drain_rare(self) -> bool:
-        """Take wings, before the flight; return whether any came."""
+        """Take all else: stages of whom it waits for no more, wings before the flight."""
         protocol = self.protocol
-        moved = False
+        moved = self._take_all_stages()
         if not protocol.in_flight:
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
-                    moved = True
-                    self.hear(messages.Wing, protocol.receive_wing, data)
+                    moved |= self.hear(messages.Wing, protocol.receive_wing, data)
         self._complaints.tell()
         return moved
 
@@ -133,14 +139,33 @@ class BirdNode(DrainedNode):
 
     def hear(
         self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
-    ) -> None:
-        """Let its protocol `receive` a message, and send what that answers."""
+    ) -> bool:
+        """Let its protocol `receive` a message, and send what that answers.
+
+        Returns whether it was one for this bird.
+        """
+        ignored = self.protocol.ignored
         try:
             message = kind.decode(data)
         except ValueError:
             self.protocol.ignore(MALFORMED)
         else:
             self._send(receive(message))
+        return self.protocol.ignored == ignored
+
+    def _take_all_stages(self) -> bool:
+        moved = False
+        for inlet in self._stages.values():
+            while (data := inlet.take()) is not None:
+                moved |= self._take_stage(data)
+        return moved
+
+    def _take_stage(self, data: bytes) -> bool:
+        """Let its protocol receive a stage; return whether it was one for this bird."""
+        protocol = self.protocol
+        ignored = protocol.ignored
+        self._send(protocol.receive_stage(data))
+        return protocol.ignored == ignored
 
     def _send(self, outgoing: list[Outgoing]) -> None:
         for channel, data in outgoing:
@@ -189,6 +214,7 @@ def work(process: Process) -> None:
 def status(birds: Sequence[BirdNode]) -> Status:
     """Return what the process of `birds` tells of itself."""
     protocols = [bird.protocol for bird in birds]
+    last = min(birds, key=lambda bird: bird.protocol.step)
     waiting = [bird.waiting_for for bird in birds if not bird.protocol.in_flight]
     counts = sum((protocol.ignored_for for protocol in protocols), Counter[str]())
     return (
@@ -196,7 +222,8 @@ def status(birds: Sequence[BirdNode]) -> Status:
         waiting[0] if waiting else "flying",
         {
             "birds": ", ".join(str(protocol.bird) for protocol in protocols),
-            "step": min(protocol.step for protocol in protocols),
+            "step": last.protocol.step,
+            "last": last.waiting_for,
             **ignored(counts),
         },
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 
 from flock_sim.command_line import note
-from flock_sim.core.stage_inbox import STALE
+from flock_sim.core.stage_inbox import AGAIN, STALE
 
 
 class Complaints:
@@ -15,12 +15,13 @@ class Complaints:
     def __init__(self, who: str, ignored_for: Counter[str], told: set[str] | None = None) -> None:
         """Speak for `who`; `told` are the reasons that others of its process have told already.
 
-        That messages go stale is how a flock recovers, and not told.
+        That messages go stale is how a flock recovers, and that birds which wait repeat what they
+        said is how it gets over a loss: neither is told.
         """
         self._who = who
         self._ignored_for = ignored_for
         self._told = set() if told is None else told
-        self._told.add(STALE)
+        self._told |= {AGAIN, STALE}
 
     def tell(self) -> None:
         """Warn of reasons that are new; costs next to nothing where there are none."""

@@ -36,7 +36,11 @@ ALL = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
 )
 """How Flock's nodes listen: to everything. A queue of the last few would lose what a neighbour said
-when somebody else, another flock say, talks much on the same topic; this one makes them wait."""
+when somebody else, another flock say, talks much on the same topic.
+
+It has no limit, by our settings for Fast DDS (`discovery.py`): by default it holds 5000, turns away
+what comes then, and of a writer in the same process never asks for it again. What is not waited for
+is taken out of it, too."""
 
 
 def wait_until_heard(outlets: Iterable[Publisher], stop: Stop | bool, limit: float) -> None:

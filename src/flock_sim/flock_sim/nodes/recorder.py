@@ -115,25 +115,26 @@ class RecorderNode(DrainedNode):
         ]
 
     def drain(self) -> bool:
-        """Take everything that has come; return whether anything had."""
-        moved = False
+        """Take everything that has come; return whether any of it was of this run."""
+        ignored, taken = self.ledger.ignored, 0
         while (data := self._grants.take()) is not None:
-            moved = True
+            taken += 1
             self._hear_grant(data)
         while (data := self._perturbations.take()) is not None:
-            moved = True
+            taken += 1
             self._hear_perturbation(data)
-        if not self._joined:
+        if self._joined:
+            for inlet, add, bird in self._sources:
+                while (data := inlet.take()) is not None:
+                    taken += 1
+                    self._add(add, bird, data)
+            while (data := self._times.take()) is not None:
+                taken += 1
+                self._add(self.ledger.add_time, data)
+        else:
+            self._make_room()
             self._join()
-            return moved  # what is latched can wait until it is known whose it must be
-        for inlet, add, bird in self._sources:
-            while (data := inlet.take()) is not None:
-                moved = True
-                self._add(add, bird, data)
-        while (data := self._times.take()) is not None:
-            moved = True
-            self._add(self.ledger.add_time, data)
-        return moved
+        return taken > self.ledger.ignored - ignored
 
     @property
     def finished(self) -> bool:
@@ -217,6 +218,16 @@ class RecorderNode(DrainedNode):
             self._joined = True
             self._checkpoint.publish(self._where().encode())
             self._tell(self._run.saved)
+
+    def _make_room(self) -> None:
+        """Take what is of no epoch of ours, before a queue is full of it.
+
+        Wings stay: they are said once, and it may not be known yet whose they must be.
+        """
+        flowing = (inlet for inlet, add, _ in self._sources if add != self._hear_wing)
+        for inlet in (self._times, *flowing):
+            while inlet.take() is not None:
+                pass
 
     def _hear_perturbation(self, data: bytes) -> None:
         """Put on disk a push that was asked for in flight."""
