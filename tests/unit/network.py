@@ -122,6 +122,14 @@ class Network:
             assert bird.ignored == before + again, "every genuine stage counts, and counts once"
         self._send(letter.to, sent)
 
+    def say_again(self, sender: int) -> None:
+        """Let a bird say what it says every second while it waits."""
+        for channel, data in self.birds[sender].report():
+            if channel is Channel.STAGE:
+                self._to_listeners(Kind.STAGE, sender, data)
+            else:
+                self.in_flight.append(Letter(Kind.PROGRESS, CLOCK, data))
+
     def hand_over_forgery(self, to: int, data: bytes) -> None:
         """Let a bird take a stage message that nobody sent: it is counted, and that is all.
 

@@ -228,11 +228,28 @@ def test_a_bird_that_waits_tells_how_far_it_has_come():
     assert bird.report() == []
     start(bird, 0, configuration)
     for reached in (-1, 0):
-        ((channel, data),) = bird.report()
-        assert (channel, Progress.decode(data).step) == (Channel.PROGRESS, reached)
+        (data,) = of(Channel.PROGRESS, bird.report())
+        assert Progress.decode(data).step == reached
         bird.receive_wing(Wing(RUN, 2, np.ones(1)))
         one = np.ones(1)
         bird.receive_stage(Stage(RUN, 0, EPOCH, 2, 0, one, one, one).encode())
+
+
+def test_a_bird_that_waits_says_again_the_two_stages_that_a_neighbour_may_lack():
+    configuration = configured(birds=2)
+    bird = BirdProtocol(1, configuration, run_id=RUN)
+    start(bird, 0, configuration)
+    bird.receive_wing(Wing(RUN, 2, np.ones(1)))
+    bird.receive_grant(grant(2, configuration))
+    one = np.ones(1)
+    ticks = [(0, 0)]
+    for stage in range(3):
+        said = of(Channel.STAGE, bird.report())
+        assert [stage_header(data)[1::3] for data in said] == ticks[-2:]
+        bird.receive_stage(Stage(RUN, 0, EPOCH, 2, stage, one, one, one).encode())
+        ticks.append((0, stage + 1))
+    bird.receive_grant(grant(0, configuration, epoch=EPOCH + 1))
+    assert of(Channel.STAGE, bird.report()) == [], "of an epoch that is over nobody lacks anything"
 
 
 def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():

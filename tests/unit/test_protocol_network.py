@@ -70,7 +70,10 @@ FORGERIES = {
 
 
 class Adversary(RuleBasedStateMachine):
-    """Delays, reorders, repeats, loses and invents messages; in the end everything arrives."""
+    """Delays, reorders, repeats, loses and invents messages.
+
+    In the end everything arrives but stages that were lost for good, which birds say again.
+    """
 
     @initialize(
         configuration=configurations(),
@@ -129,6 +132,18 @@ class Adversary(RuleBasedStateMachine):
     @rule(at=st.integers(0, 1000))
     def send_again(self, at):
         self.network.in_flight.append(self.lost.pop(at % len(self.lost)))
+
+    @precondition(lambda self: self.some_in_flight)
+    @rule(at=st.integers(0, 1000))
+    def lose_a_stage_for_good(self, at):
+        in_flight = self.network.in_flight
+        places = [k for k, letter in enumerate(in_flight) if letter.kind is Kind.STAGE]
+        if places:
+            del in_flight[places[at % len(places)]]
+
+    @rule(to=st.integers(0, 4))
+    def say_again(self, to):
+        self.network.say_again(1 + to % self.network.configuration.birds)
 
     @rule(to=st.integers(0, 4), data=st.binary(max_size=200))
     def garbage(self, to, data):
@@ -200,6 +215,11 @@ class Adversary(RuleBasedStateMachine):
         network = self.network
         network.in_flight += self.lost
         network.deliver_all(self.random)
+        # Each time that all who wait say so again, somebody goes on by a stage or more.
+        for _ in range(STAGES * network.configuration.steps + 1):
+            for bird in network.birds:
+                network.say_again(bird)
+            network.deliver_all(self.random)
         assert network.finished
         expected = expected_states(network.configuration)
         assert {bird: log.states for bird, log in network.log.items()} == expected

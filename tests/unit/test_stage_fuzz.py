@@ -161,6 +161,7 @@ def test_a_million_forgeries_change_no_bit_and_are_counted() -> None:
         "of a wrong length",
         "of an epoch that is over",
         "for a stage already passed or out of reach",
+        "that were heard before",
     }
 
 

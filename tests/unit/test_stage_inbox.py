@@ -6,6 +6,7 @@ import pytest
 
 from flock_sim.core.messages import Stage
 from flock_sim.core.stage_inbox import (
+    AGAIN,
     EARLY,
     FOREIGN,
     IMPOSSIBLE,
@@ -91,6 +92,12 @@ def test_a_stage_that_overtakes_the_first_grant_is_there_when_its_epoch_begins()
     assert lacking(box) == [3]
 
 
+def test_where_the_run_is_known_another_is_foreign_before_the_first_grant() -> None:
+    box = StageInbox([1, 3], members=1, run_id=RUN)
+    assert box.take(stage(1, 32, run_id=RUN + 1)) == FOREIGN
+    assert box.take(stage(1, 32)) == ""
+
+
 def test_what_one_neighbour_said_long_ago_does_not_push_out_what_another_just_said() -> None:
     # Bird 2 was suspended while the others began many epochs; bird 1's messages are read first.
     box = inbox(tick=40)
@@ -112,7 +119,8 @@ def test_each_that_is_not_kept_has_its_reason() -> None:
         box.take(stage(1, 40)[:-1]) == box.take(stage(1, 40) + b"0") == box.take(b"") == MISSHAPEN
     )
     assert box.take(stage(1, 40, epoch=EPOCH - 1)) == STALE
-    assert box.take(stage(1, 39)) == box.take(stage(1, 42)) == REPEATED
+    assert box.take(stage(1, 38)) == box.take(stage(1, 42)) == REPEATED
+    assert box.take(stage(1, 39)) == AGAIN  # for this stage to be here, it was heard
     assert box.take(stage(1, 41, epoch=EPOCH + 1)) == REPEATED  # an epoch begins with a step
     assert box.take(stage(1, 40, epoch=EPOCH + REACH + 1)) == REPEATED
     assert box.take(stage(1, 40, epoch=EPOCH + REACH)) == ""
@@ -124,3 +132,11 @@ def test_of_all_that_comes_early_only_so_much_is_kept_and_the_rest_counted() -> 
     told = [box.take(stage(1, 40, epoch=EPOCH + 1 + k)) for k in range(1000)]
     assert told == [""] * EARLY + [REPEATED] * (1000 - EARLY)
     assert sum(map(len, box._early.values())) == EARLY
+
+
+def test_what_is_said_again_is_told_from_what_nobody_can_mean() -> None:
+    box = inbox(tick=40)
+    for tick in (40, 41):
+        assert box.take(stage(1, tick)) == ""
+        assert box.take(stage(1, tick)) == AGAIN
+    assert lacking(box) == [3]

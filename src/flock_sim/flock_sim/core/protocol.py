@@ -12,7 +12,7 @@ checkpoint of that epoch and goes on from there. That is how a flight begins, to
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from enum import Enum
 
 import numpy as np
@@ -90,6 +90,8 @@ class BirdProtocol:
         """Whether the clock has said that the run is over, and nobody needs this bird any more."""
         self.ignored_for: Counter[str] = Counter()
         """How many messages changed nothing, by the reason."""
+        self.ignored = 0
+        """How many messages changed nothing."""
         self._configuration = configuration
         self._epoch = NEVER  # of no message: nothing is taken before the first grant
         self._end = configuration.steps
@@ -101,6 +103,7 @@ class BirdProtocol:
         self._report_at = 0
         self._reached = -1  # the last step whose beginning was reached, its neighbours heard
         self._tick = 0  # 4 step + stage, of the last message sent
+        self._said: deque[Outgoing] = deque(maxlen=2)  # the last stages sent in this epoch
         self._held = False  # at the beginning of a step, its own values known, no leave to go on
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
 
@@ -116,7 +119,7 @@ class BirdProtocol:
         self._wing = ratio
         self._around = Neighbourhood(bird, configuration)
         self.neighbours = self._around.birds
-        self._inbox = StageInbox(self.neighbours, members)
+        self._inbox = StageInbox(self.neighbours, members, run_id)
         self._mine = np.zeros((2, stage_words(members)))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
         self._work = np.zeros((WORK_ROWS, members))
@@ -125,11 +128,6 @@ class BirdProtocol:
     def step(self) -> int:
         """The step being taken."""
         return self._tick // STAGES
-
-    @property
-    def ignored(self) -> int:
-        """How many messages changed nothing."""
-        return self.ignored_for.total()
 
     @property
     def in_flight(self) -> bool:
@@ -166,6 +164,7 @@ class BirdProtocol:
 
     def ignore(self, reason: str) -> list[Outgoing]:
         """Count a message that changes nothing."""
+        self.ignored += 1
         self.ignored_for[reason] += 1
         return []
 
@@ -226,10 +225,14 @@ class BirdProtocol:
         return [] if self._inbox.lacking or not self._flying else self._advance()
 
     def report(self) -> list[Outgoing]:
-        """Return the word of a bird that has to wait: it is there, and has come so far."""
+        """Return the words of a bird that has to wait: it is there, and has come so far.
+
+        It says its last two stages again, too: those are all that a neighbour may lack. A message
+        that the middleware has lost costs time, and does not stop a flock.
+        """
         if self._granted < 0:
             return []  # there is no run yet to report to
-        return [self._progress(self._reached)]
+        return [self._progress(self._reached), *self._said]
 
     def _agree(self, grant: Grant) -> None:
         """Raise FlockError where the clock flies something else."""
@@ -256,6 +259,7 @@ class BirdProtocol:
         self.released = grant.step > grant.end
         self._flying = self._held = False
         self._reached = self._start = -1
+        self._said.clear()
         self._inbox.close(self.run_id, self._epoch)
         self._grant(grant.step)
         out = [self._progress(-1)]
@@ -347,7 +351,9 @@ class BirdProtocol:
         HEADER.pack_into(
             side, HEADER_AT, self.run_id, step, self._epoch, self.bird, stage, self._members
         )
-        return Channel.STAGE, bytes(side)
+        said = Channel.STAGE, bytes(side)
+        self._said.append(said)
+        return said
 
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""

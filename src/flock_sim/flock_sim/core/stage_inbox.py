@@ -27,6 +27,7 @@ STRANGE = "not from a neighbour"
 MISSHAPEN = "of a wrong length"
 MALFORMED = "that can't be read"
 STALE = "of an epoch that is over"
+AGAIN = "that were heard before"
 REPEATED = "for a stage already passed or out of reach"
 IMPOSSIBLE = "with values that the sender can't have"
 
@@ -43,8 +44,8 @@ NEVER = -1
 class StageInbox:
     """The inbox of one bird. `heard` has shape (2, neighbours, words): even ticks and odd ones."""
 
-    def __init__(self, neighbours: Sequence[int], members: int) -> None:
-        """Be closed: stages come in once an epoch is open."""
+    def __init__(self, neighbours: Sequence[int], members: int, run_id: int = 0) -> None:
+        """Be closed: stages come in once an epoch is open. `run_id` 0: not known yet."""
         self.heard: FloatArray = np.zeros((2, len(neighbours), stage_words(members)))
         self.size = len(stage_bytes(np.zeros(stage_words(members)), members))
         # The headers of the messages that this stage still lacks, and the next one, each with the
@@ -61,7 +62,7 @@ class StageInbox:
         ]
         self._neighbours = frozenset(neighbours)
         self._members = members
-        self._run_id = 0
+        self._run_id = run_id
         self._epoch = NEVER
         self._tick = NEVER
         self._at_start = False
@@ -110,7 +111,7 @@ class StageInbox:
         if len(data) != self.size:
             return MISSHAPEN
         run_id, step, epoch, bird, stage, members = stage_header(data)
-        if run_id == 0 or (self._epoch != NEVER and run_id != self._run_id):
+        if run_id == 0 or self._run_id not in (0, run_id):
             return FOREIGN
         if bird not in self._neighbours:
             return STRANGE
@@ -119,6 +120,8 @@ class StageInbox:
         if epoch < self._epoch:
             return STALE
         early = epoch > self._epoch or self._tick == NEVER
+        if not early and self._tick - 1 <= STAGES * step + stage <= self._tick + 1:
+            return AGAIN
         believed = self._epoch == NEVER or epoch <= self._epoch + REACH
         header, kept = data[HEADER_AT:HEADER_END], self._early[bird]
         if not early or stage != 0 or not believed or header in kept:
