@@ -91,6 +91,11 @@ def test_an_argument_that_launch_would_pass_over_is_refused(word: str, hint: str
         refuse_others([word], [*ARGUMENTS, *PROCESSES])
 
 
+def test_processes_are_refused_where_every_bird_has_its_own() -> None:
+    with pytest.raises(FlockError, match=r"composed\.launch\.py"):
+        refuse_others(["processes:=2"], list(ARGUMENTS))
+
+
 def test_arguments_of_other_launch_files_are_let_pass() -> None:
     words = ["rviz:=true", "map:=hall.yaml", "birds:=3", "launch-prefix:=nice"]
     refuse_others(words, [*ARGUMENTS, *PROCESSES])

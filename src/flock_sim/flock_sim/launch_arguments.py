@@ -74,6 +74,10 @@ def refuse_others(words: Sequence[str], known: Sequence[str]) -> None:
     for name in (word.partition(":=")[0] for word in words):
         if name in known:
             continue
+        if name in PROCESSES:
+            raise FlockError(
+                f"{name} is an argument of composed.launch.py: here every bird has its own process"
+            )
         if name in parameters:
             raise FlockError(
                 f"{name} is no argument of this launch file: write it in a parameter file, and "
