@@ -14,6 +14,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.messages import Grant, Progress, Time
 from flock_sim.core.terms import terms
 from flock_sim.core.timekeeper import ABSENT, Timekeeper, new_run_id
+from flock_sim.errors import FlockError
 
 RUN = 7
 
@@ -189,3 +190,23 @@ def test_of_those_that_wait_for_each_other_only_the_absent_are_named() -> None:
     reach(keeper, 0, "bird_01")
     assert keeper.waiting_for == ["bird_02", "bird_03", "bird_04", "bird_05"]
     assert not keeper.begun
+
+
+def test_in_a_pause_nobody_is_waited_for() -> None:
+    keeper = clock()
+    reach(keeper, 0, *BIRDS)
+    keeper.pause()
+    assert keeper.waiting_for == list(BIRDS), "they have leave up to the pause"
+    reach(keeper, 4, *BIRDS)
+    assert keeper.paused
+    assert keeper.waiting_for == []
+
+
+def test_a_push_by_nothing_is_refused() -> None:
+    # It would cost the flock a rewind.
+    keeper = clock(record=True)
+    reach(keeper, 0, *BIRDS, "recorder")
+    with pytest.raises(FlockError, match="push nobody"):
+        keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=0.0)
+    assert keeper.rewinds.count == 0
+    assert keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=1e-3)[0] == 10

@@ -161,7 +161,9 @@ class Timekeeper:
 
     @property
     def waiting_for(self) -> list[str]:
-        """Who has to move before the run can go on."""
+        """Who has to move before the run can go on; nobody in a pause."""
+        if self.paused:
+            return []
         absent = [name for name, step in self._reached.items() if step == ABSENT]
         if absent:
             return absent
@@ -245,6 +247,8 @@ class Timekeeper:
             raise FlockError(
                 "nothing is recorded, so a push would be forgotten: fly with a recorder"
             )
+        if not (position or speed):
+            raise FlockError("position = 0 and speed = 0 push nobody: give one of them")
         if not self.begun:
             raise FlockError("the flock is not flying yet, or again: ask once more when it is")
         soonest = self._granted + 1

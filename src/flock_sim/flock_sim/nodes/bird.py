@@ -223,7 +223,7 @@ def status(birds: Sequence[BirdNode]) -> Status:
         {
             "birds": ", ".join(str(protocol.bird) for protocol in protocols),
             "step": last.protocol.step,
-            "last": last.waiting_for,
+            "furthest behind": last.waiting_for,
             **ignored(counts),
         },
     )

@@ -44,7 +44,9 @@ class Control:
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.stop())
-        return _said(response, f"ending the flight where leave ends: {self._keeper.where}")
+        keeper = self._keeper
+        where = f"at step {keeper.end}" if keeper.begun else "as soon as all are there"
+        return _said(response, f"ending the flight {where}")
 
     def _step(self, request: Step.Request, response: Step.Response) -> Step.Response:
         if request.steps < 1:
