@@ -89,6 +89,7 @@ class StageInbox:
 
     def turn(self, tick: int) -> None:
         """Go on to `tick`, the next one: what has come for it is there."""
+        self._tick = tick
         self.lacking, self._next = self._next, self._expected(tick + 1)
         self._at_start = False
 
@@ -120,11 +121,14 @@ class StageInbox:
         if epoch < self._epoch:
             return STALE
         early = epoch > self._epoch or self._tick == NEVER
-        if not early and self._tick - 1 <= STAGES * step + stage <= self._tick + 1:
+        # Of the last two that a neighbour has said, the newer is one from ours at most.
+        if not early and self._tick - 2 <= STAGES * step + stage <= self._tick + 1:
             return AGAIN
         believed = self._epoch == NEVER or epoch <= self._epoch + REACH
         header, kept = data[HEADER_AT:HEADER_END], self._early[bird]
-        if not early or stage != 0 or not believed or header in kept:
+        if header in kept:
+            return AGAIN
+        if not early or stage != 0 or not believed:
             return REPEATED
         if step == 0 and not self._finite(data):
             return IMPOSSIBLE
