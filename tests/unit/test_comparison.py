@@ -247,6 +247,7 @@ def test_a_single_lost_message_does_not_make_the_others_differ(
         ("zero_lift_drag", 0.03),
         ("aspect_ratio", 9.5),
         ("span_ratios", ("2=1.0,1.02,0.97", "4=1.02")),
+        ("links", ("hold:delay=1",)),
     ],
 )
 def test_every_key_of_the_configuration_counts(
@@ -257,13 +258,24 @@ def test_every_key_of_the_configuration_counts(
     found = compared(flight, tmp_path / "run").first_difference
     assert found is not None
     assert (found.kind, found.field) == ("configuration", key)
-    written = list if key == "span_ratios" else lambda value: value
+    written = list if key in ("span_ratios", "links") else lambda value: value
     assert found.values == (written(getattr(CONFIGURATION, key)), written(value))
 
 
 def test_the_same_spans_in_other_words_are_the_same_flock(flight: Path, tmp_path: Path) -> None:
     same = replace(CONFIGURATION, span_ratios=("4=1.010", "2=1,1.02,97e-2", "1=1"))
     assert compared(flight, record(tmp_path / "run", same)).equal
+
+
+def test_the_same_links_in_other_words_are_the_same_flock(flight: Path, tmp_path: Path) -> None:
+    exact = replace(CONFIGURATION, links=("hold", "exact"))
+    assert compared(flight, record(tmp_path / "exact", exact)).equal
+    one = replace(CONFIGURATION, links=("hold:noise=0.1", "1->2=linear"))
+    other = replace(
+        CONFIGURATION, links=("hold:speed_noise=0.10,position_noise=1e-1", "1->2=linear:delay=0")
+    )
+    record(tmp_path / "one", one)
+    assert compared(tmp_path / "one", record(tmp_path / "other", other)).equal
 
 
 def test_a_wing_of_another_shape_is_found(flight: Path, tmp_path: Path) -> None:

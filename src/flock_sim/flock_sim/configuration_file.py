@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from flock_sim.core.configuration import nearest
+from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
 
 SECTION = "/**"

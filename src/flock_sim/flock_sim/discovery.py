@@ -12,7 +12,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 
 from flock_sim.command_line import note
-from flock_sim.core.configuration import nearest
+from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
 
 DOMAIN = "ROS_DOMAIN_ID"

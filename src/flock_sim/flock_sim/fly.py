@@ -23,7 +23,8 @@ from flock_sim.command_line import (
     whole_number,
 )
 from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.spelling import nearest
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
 from flock_sim.crew import Crew
 from flock_sim.discovery import NETWORK_HELP, own_domain, prepare_discovery

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.core import topics
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.messages import BILLION, State
 from flock_sim.core.perturbation import in_order
@@ -235,6 +236,7 @@ def _configurations(first: Run, second: Run) -> Iterator[Difference]:
     values, others = one.parameters(), other.parameters()
     spans = values.pop("span_ratios"), others.pop("span_ratios")
     pushes = values.pop("perturbations"), others.pop("perturbations")
+    links = values.pop("links"), others.pop("links")
     for key, value in values.items():
         if value != others[key]:
             yield Difference("configuration", (value, others[key]), key)
@@ -243,6 +245,21 @@ def _configurations(first: Run, second: Run) -> Iterator[Difference]:
         yield Difference("configuration", spans, "span_ratios")
     if pushes[0] != pushes[1] and in_order(one.pushes) != in_order(other.pushes):
         yield Difference("configuration", pushes, "perturbations")
+    if links[0] != links[1] and not _same_links(one, other):
+        yield Difference("configuration", links, "links")
+
+
+def _same_links(one: FlockConfiguration, other: FlockConfiguration) -> bool:
+    """Tell whether all birds know each other alike: "exact", or nothing said, is one thing."""
+    if one.linkage.plain or other.linkage.plain:
+        return one.linkage.plain and other.linkage.plain
+    if (one.birds, one.coupling, one.members) != (other.birds, other.coupling, other.members):
+        return False
+    birds = range(1, one.birds + 1)
+    plans = [flock.linkage.plan(birds, flock.members) for flock in (one, other)]
+    return np.array_equal(plans[0].links, plans[1].links) and np.array_equal(
+        plans[0].faults, plans[1].faults
+    )
 
 
 def _wings(first: Run, second: Run) -> Iterator[Difference]:

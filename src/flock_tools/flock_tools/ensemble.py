@@ -33,15 +33,16 @@ def opened_gaps(
 ) -> IntArray:
     """Fly an ensemble to t_max; return 0 for a flock that holds together, else the gap that opens.
 
-    The paper's criterion: sigma_U < 1e-4 at t_max, undisturbed from the V of the homogeneous flock
-    at U_0. Of
-    the others, the gap (from 1) whose birds differ most in speed; NO_GAP where speeds are no
-    numbers. `span_ratio` has shape (birds, members), the result (members,). `on_progress` is called
-    with the member-steps just taken; once `halt` is set, the flight ends and the result means
-    nothing.
+    The paper's criterion: sigma_U < 1e-4 at t_max, undisturbed and over exact links, from the V of
+    the homogeneous flock at U_0. Of the others, the gap (from 1) whose birds differ most in speed;
+    NO_GAP where speeds are no numbers. `span_ratio` has shape (birds, members), the result
+    (members,). `on_progress` is called with the member-steps just taken; once `halt` is set, the
+    flight ends and the result means nothing.
     """
     steps, members = configuration.steps, span_ratio.shape[1]
-    undisturbed = replace(configuration, record_every=steps, span_ratios=(), perturbations=())
+    undisturbed = replace(
+        configuration, record_every=steps, span_ratios=(), perturbations=(), links=()
+    )
     flight = Monolith(undisturbed, span_ratio)
     most = max(1, AT_ONCE // (max(1, len(flight.flock.pairs)) * members))
     while flight.step < steps and not (halt and halt.is_set()):

@@ -33,7 +33,7 @@ DESCRIPTION = """\
 Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
 state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
---dt, --t-max, --record-every and --perturb have no say in it.
+--dt, --t-max, --record-every, --perturb and --link have no say in it.
 Exit status: 0, whatever the answer is; 2 bad input."""
 
 EXAMPLES = """\

@@ -20,11 +20,12 @@ from flock_sim.command_line import (
     run_tool,
     whole_numbers,
 )
-from flock_sim.core.configuration import FlockConfiguration, nearest
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
 from flock_sim.core.limits import End, Limits, exact_limits, modified_birds, search
 from flock_sim.core.metrics import STABLE_BELOW
+from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
 from flock_sim.progress import counter
 from flock_sim.warm import warm, warm_steady_states
@@ -52,7 +53,7 @@ exact: by the existence of the steady state.
 integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
 the homogeneous flock; bisection to --resolution.
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate; --perturb has no say.
+integrate; --perturb and --link have no say.
 An end that is not inside the searched interval is told so, and null in JSON.
 Exit status: 0, whatever the answer is; 2 bad input."""
 

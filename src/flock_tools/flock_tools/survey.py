@@ -164,8 +164,8 @@ def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
         )
     if sizes is None:
         sizes = SIZES if options.config is None else str(flock.birds)
-    # Steady states are those of flocks that nobody pushes.
-    flock = replace(flock, perturbations=())
+    # Steady states are those of flocks that nobody pushes and whose links are exact.
+    flock = replace(flock, perturbations=(), links=())
     return [replace(flock, birds=birds) for birds in whole_numbers("--birds", sizes, 2)]
 
 

@@ -7,7 +7,6 @@ so a value means the same, and is refused with the same words, wherever it was w
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -18,7 +17,10 @@ import numpy as np
 
 from flock_sim.core import perturbation
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.links import settings
+from flock_sim.core.links.linkage import Linkage
 from flock_sim.core.perturbation import Perturbation
+from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
 
 COUPLINGS = ("nearest", "all")
@@ -51,9 +53,14 @@ MEANING = {
     "aspect_ratio": "aspect ratio AR = (2b)^2 / S",
     "span_ratios": "birds that differ, each as I=LAMBDA or I=LAMBDA,LAMBDA,... (one a member)",
     "perturbations": f"pushes, each as {perturbation.FORM}, in b and U_min",
+    "links": f"how birds know their neighbours, each as {settings.FORM}",
 }
 
-EXAMPLES = {"span_ratios": "4=1.05", "perturbations": perturbation.EXAMPLE}
+EXAMPLES = {
+    "span_ratios": "4=1.05",
+    "perturbations": perturbation.EXAMPLE,
+    "links": settings.EXAMPLE,
+}
 """What the entries of a list look like."""
 
 
@@ -80,6 +87,7 @@ class FlockConfiguration:
     aspect_ratio: float = 9.0
     span_ratios: tuple[str, ...] = ()
     perturbations: tuple[str, ...] = ()
+    links: tuple[str, ...] = ()
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
@@ -144,7 +152,21 @@ class FlockConfiguration:
     @cached_property
     def span_ratio(self) -> FloatArray:
         """lambda_i of every bird and member, shape (birds, members)."""
-        return _span_ratio(self.span_ratios, self.birds)
+        ratio = _span_ratio(self.span_ratios, self.birds)
+        members, others = ratio.shape[1], self.linkage.members
+        if members == 1:
+            return np.repeat(ratio, others, axis=1)
+        if others not in (1, members):
+            raise FlockError(
+                f"link {self.linkage.longest!r} has {others} members and span_ratios have "
+                f"{members}: give 1 or {members} to every link"
+            )
+        return ratio
+
+    @cached_property
+    def linkage(self) -> Linkage:
+        """How every bird knows its neighbours."""
+        return Linkage(self.links, self.birds, self.coupling)
 
     @cached_property
     def pushes(self) -> tuple[Perturbation, ...]:
@@ -178,14 +200,6 @@ class FlockConfiguration:
         """Return every key of the configuration file with its value."""
         lists = {key: list(getattr(self, key)) for key in EXAMPLES}
         return {**asdict(self), **lists}
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the hint of an error message: the known word nearest to `word`, and all of them."""
-    known = list(known)
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}known are {', '.join(known)}"
 
 
 def _whole(key: str, value: Any) -> int:

@@ -64,6 +64,6 @@ def _cache_of_this_version() -> Iterator[None]:
 def sources_digest() -> str:
     """Return what names this version of the core: a digest of all its files."""
     digest = hashlib.sha256()
-    for path in sorted(HERE.glob("*.py")):
+    for path in sorted(HERE.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from flock_sim.core import formation
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
 from flock_sim.core.flock import Flock
+from flock_sim.core.flock_step import forces, move
 from flock_sim.core.kernel import FloatArray, kernel
+from flock_sim.core.links.flock_links import FlockLinks, advance_over_links, felt
 from flock_sim.core.perturbation import Perturbation, in_order
-from flock_sim.core.runge_kutta import STAGES, stage_value
+from flock_sim.core.runge_kutta import STAGES
 
 RECORDED = 4
 """Position, speed, circulation and interaction drag: what is recorded of a bird."""
@@ -61,6 +62,8 @@ class Monolith:
         self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
+        linkage = configuration.linkage
+        self._links = None if linkage.plain else FlockLinks(configuration, members)
         self._pushes = deque(in_order([*configuration.pushes, *live]))
         for perturbation in self._pushes:
             perturbation.check(birds, members, configuration.steps)
@@ -105,6 +108,23 @@ class Monolith:
     def _integrate(self, until: int, recorded: FloatArray) -> None:
         """Take all steps to the beginning of step `until`, before what happens there."""
         flock = self.flock
+        if self._links:
+            advance_over_links(
+                self.position,
+                self.speed,
+                self.configuration.dt,
+                self.step,
+                until,
+                self.configuration.record_every,
+                flock.coefficients,
+                flock.half_span,
+                flock.lateral,
+                flock.even,
+                *self._links.arrays,
+                recorded,
+            )
+            self.step = until
+            return
         _advance(
             self.position,
             self.speed,
@@ -132,7 +152,26 @@ class Monolith:
         """Return the present state as `advance` records it, shape (4, birds, members)."""
         flock = self.flock
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
-        _forces(
+        if self._links:
+            links, pair_of, faults, memory = self._links.arrays
+            felt(
+                STAGES * self.step,
+                self.configuration.dt,
+                self.position,
+                self.speed,
+                flock.coefficients,
+                flock.half_span,
+                flock.lateral,
+                flock.even,
+                links,
+                pair_of,
+                faults,
+                memory.copy(),  # what is said now is still to be heard when the flight goes on
+                circulation,
+                drag,
+            )
+            return np.stack([self.position, self.speed, circulation, drag])
+        forces(
             self.position,
             self.speed,
             flock.coefficients,
@@ -144,40 +183,6 @@ class Monolith:
             drag,
         )
         return np.stack([self.position, self.speed, circulation, drag])
-
-
-@kernel
-def _forces(
-    position: FloatArray,
-    speed: FloatArray,
-    coefficients: FloatArray,
-    half_span: FloatArray,
-    pairs: npt.NDArray[np.int64],
-    lateral: FloatArray,
-    even: FloatArray,
-    circulation: FloatArray,
-    drag: FloatArray,
-) -> None:
-    """Fill `circulation` and `drag`, both (birds, members), pair by pair in ascending order."""
-    birds, members = position.shape
-    for i in range(birds):
-        for m in range(members):
-            circulation[i, m] = circulation_at(speed[i, m], coefficients[i, 4, m])
-            drag[i, m] = 0.0
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        for m in range(members):
-            on_i, on_j = drag_of_pair(
-                position[j, m] - position[i, m],
-                lateral[k, m],
-                half_span[i, m],
-                half_span[j, m],
-                even[k, m],
-                circulation[i, m],
-                circulation[j, m],
-            )
-            drag[i, m] += on_i
-            drag[j, m] += on_j
 
 
 @kernel
@@ -207,7 +212,7 @@ def _advance(
     records = 0
     for step in range(first, until):
         for stage in range(STAGES):
-            _forces(
+            forces(
                 position_now,
                 speed_now,
                 coefficients,
@@ -222,21 +227,17 @@ def _advance(
                 row = recorded[records]
                 records += 1
                 row[0], row[1], row[2], row[3] = position, speed, circulation, drag
-            for i in range(birds):
-                for m in range(members):
-                    k = i * members + m
-                    velocity_slopes[stage, k] = speed_now[i, m]
-                    speed_slopes[stage, k] = acceleration(
-                        speed_now[i, m],
-                        drag[i, m],
-                        coefficients[i, 0, m],
-                        coefficients[i, 1, m],
-                        coefficients[i, 2, m],
-                        coefficients[i, 3, m],
-                    )
-                    position_now[i, m] = stage_value(
-                        position[i, m], dt, velocity_slopes, stage + 1, k
-                    )
-                    speed_now[i, m] = stage_value(speed[i, m], dt, speed_slopes, stage + 1, k)
+            move(
+                stage,
+                dt,
+                position,
+                speed,
+                coefficients,
+                drag,
+                velocity_slopes,
+                speed_slopes,
+                position_now,
+                speed_now,
+            )
         position[:] = position_now
         speed[:] = speed_now

@@ -19,6 +19,9 @@ TABLEAU = np.array(
     ]
 )
 
+NODES = TABLEAU[:STAGES].sum(axis=1)
+"""The time of each stage from the beginning of the step, in steps."""
+
 
 @kernel
 def stage_value(start: float, dt: float, slopes: FloatArray, row: int, k: int) -> float:

@@ -23,7 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from flock_sim.command_line import Parser, note, positive_number, run_tool, whole_number
-from flock_sim.core.configuration import MEANING, FlockConfiguration, nearest
+from flock_sim.core.configuration import MEANING, FlockConfiguration
+from flock_sim.core.spelling import nearest
 from flock_sim.crew import SUPERVISED
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
