@@ -214,12 +214,14 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
         one = np.ones(1)
         state = messages.State.at(CONFIGURATION, 0, one, one, one, one, 8, 1).encode()
         wing = messages.Wing(8, 1, one).encode()
-        states, wings = Stub(state), Stub(wing)
+        memory = messages.Memory(8, 0, 1, 1, one).encode()
+        states, memories, wings = Stub(state), Stub(memory), Stub(wing)
         recorder._sources = [
             (states, recorder.ledger.add_state, 1),
+            (memories, recorder.ledger.add_memory, 1),
             (wings, recorder._hear_wing, 1),
         ]
         recorder._times = Stub(messages.Time.at(0).encode())
         recorder.drain()
-        assert states.waiting == recorder._times.waiting == []
+        assert states.waiting == memories.waiting == recorder._times.waiting == []
         assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"

@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import (
+    BirdMemory,
     BirdStage,
     BirdState,
     BirdWing,
@@ -53,8 +54,10 @@ FIELDS = {
     ),
     messages.Progress: (Progress, ["run_id", "step", "epoch", "who", "life"]),
     messages.Checkpoint: (
-        Checkpoint, ["run_id", "step", "epoch", "position", "speed", "perturbations"],
+        Checkpoint,
+        ["run_id", "step", "epoch", "position", "speed", "perturbations", "memory"],
     ),
+    messages.Memory: (BirdMemory, ["run_id", "step", "epoch", "bird", "data"]),
     messages.Push: (
         Perturbation, ["run_id", "step", "position", "speed", "number", "bird", "member"],
     ),

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.messages import State, Time
+from flock_sim.core.messages import Memory, State, Time
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, STALE
+from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.core.stage_message import HEADER, stage_bytes, stage_words
 from flock_sim.reference import row
 
@@ -240,4 +240,31 @@ def test_a_run_that_is_stopped_has_no_rows_beyond() -> None:
     ledger.end_at(7)
     rows = [out for letter in letters(stages=False) for out in give(ledger, letter)]
     assert rows == expected(stages=False)[:2]
+    assert ledger.complete
+
+
+def test_a_row_is_complete_with_the_memories_of_those_who_have_one() -> None:
+    linked = replace(CONFIGURATION, links=("2->3=hold:delay=1",))
+    ledger = Ledger(linked)
+    ledger.begin(RUN, EPOCH)
+    for letter in letters(stages=False):
+        assert give(ledger, letter) == []
+    assert ledger.waiting_for == [3]
+
+    def memory(step: int, run_id: int = RUN, epoch: int = EPOCH, more: int = 0) -> bytes:
+        data = np.zeros(linked.linkage.remembers(3) + more)
+        return Memory(run_id, step, epoch, 3, data).encode()
+
+    for wrong, reason in (
+        (memory(0, run_id=RUN + 1), FOREIGN),
+        (memory(0, epoch=EPOCH - 1), STALE),
+        (memory(0, more=1), MISSHAPEN),
+        (memory(1), REPEATED),
+    ):
+        before = ledger.ignored_for[reason]
+        assert ledger.add_memory(3, wrong) == []
+        assert ledger.ignored_for[reason] == before + 1
+    rows = [row for step in STEPS for row in ledger.add_memory(3, memory(step))]
+    assert [row.step for row in rows] == list(STEPS)
+    assert [row.memories for row in rows] == [[memory(step)] for step in STEPS]
     assert ledger.complete

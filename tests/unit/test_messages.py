@@ -16,6 +16,7 @@ from flock_sim.core.messages import (
     FRAME,
     Checkpoint,
     Grant,
+    Memory,
     Message,
     Progress,
     Push,
@@ -49,7 +50,8 @@ MESSAGES = {
     ),
     Grant: st.builds(Grant, whole64, whole64, whole64, real, whole32, text, whole64),
     Progress: st.builds(Progress, whole64, signed64, whole32, text, whole64),
-    Checkpoint: st.builds(Checkpoint, whole64, whole64, whole32, numbers, numbers, text),
+    Memory: st.builds(Memory, whole64, whole64, whole32, whole32, numbers),
+    Checkpoint: st.builds(Checkpoint, whole64, whole64, whole32, numbers, numbers, text, numbers),
     Push: st.builds(Push, whole64, whole64, real, real, whole32, whole32, whole32),
     Time: st.builds(Time, signed32, whole32),
 }
@@ -280,14 +282,31 @@ def test_layout_of_a_checkpoint():
         (48, "2d", 3.0, 4.0),
         (64, "I", 5),
         (68, "5s", b"text\0"),
+        (76, "I", 1),
+        (80, "d", 5.0),
     )
-    message = Checkpoint(7, 40, 2, np.array([1.0, 2.0]), np.array([3.0, 4.0]), "text")
+    message = Checkpoint(
+        7, 40, 2, np.array([1.0, 2.0]), np.array([3.0, 4.0]), "text", np.array([5.0])
+    )
     assert message.encode() == expected
 
 
 def test_layout_of_the_checkpoint_of_a_start():
-    expected = laid_out((0, "Q", 7), (8, "Q", 0), (16, "I", 2), (20, "3I", 0, 0, 1), (32, "x"))
+    expected = laid_out(
+        (0, "Q", 7), (8, "Q", 0), (16, "I", 2), (20, "3I", 0, 0, 1), (32, "x"), (36, "I", 0)
+    )
     assert Checkpoint.of_start(7, 2).encode() == expected
+
+
+def test_layout_of_a_memory():
+    expected = laid_out(
+        (0, "Q", 7), (8, "Q", 40), (16, "I", 2), (20, "I", 13), (24, "I", 1), (32, "d", 5.0)
+    )
+    message = Memory(7, 40, 2, 13, np.array([5.0]))
+    assert message.encode() == expected
+    assert Memory.step_of(expected) == 40
+    with pytest.raises(ValueError, match="too few"):
+        Memory.step_of(expected[:19])
 
 
 def test_layout_of_a_push():

@@ -25,15 +25,20 @@ CONFIGURATION_RECORD = "flock"
 
 
 class _Waiting(NamedTuple):
-    """The last row that was written, as long as it may not be on disk."""
+    """The last row that was written, as long as it may not be on disk, memories and all."""
 
-    chunk: int  # the number of the chunk it is in
+    chunk: int | None  # the number of the chunk that its end is in; None: it lacks memories
     step: int
     states: list[bytes]
+    memories: list[bytes]
 
 
 class Recording:
-    """A bag that takes the rows of one flight; each row is in one chunk, as a whole."""
+    """A bag that takes the rows of one flight; each row is in one chunk, as a whole.
+
+    What birds remember is much, and needed only to go on: it is written when rows are made safe,
+    for the last of them. Where birds have memories, a row without them is no checkpoint.
+    """
 
     def __init__(
         self,
@@ -51,6 +56,7 @@ class Recording:
         self._stamp = 0
         self._saved = -1
         self._checkpoint: list[bytes] = []
+        self._memories: list[bytes] = []
         self._waiting: _Waiting | None = None
         self.live: dict[int, Perturbation] = {}
         """The pushes asked for in flight that are recorded, by number."""
@@ -71,6 +77,9 @@ class Recording:
         self._place = {name: place for place, name in enumerate(kinds)}
         birds = range(1, configuration.birds + 1)
         self._states = [self._place[topics.state_topic(bird)] for bird in birds]
+        self._remembered = [
+            self._place[name] for name in map(topics.memory_topic, birds) if name in self._place
+        ]
         if self.bag.begun is not None:
             try:
                 self._find_checkpoint(self.bag.begun)
@@ -90,13 +99,20 @@ class Recording:
         self._look()
         return self._checkpoint
 
+    @property
+    def memories(self) -> list[bytes]:
+        """What goes with it: the memories of those birds that have one, in order."""
+        self._look()
+        return self._memories
+
     def write_row(self, row: Row) -> None:
         """Write everything of one recorded step, at its simulated time."""
         self._look()
         self._stamp = stamp = self._configuration.stamp(row.step)
         chunk = self.bag.chunks_safe
         self.bag.write_together((place, stamp, data) for place, data in self._placed(row))
-        self._waiting = _Waiting(chunk, row.step, row.states)
+        end = None if row.memories else chunk
+        self._waiting = _Waiting(end, row.step, row.states, row.memories)
 
     def write_grant(self, data: bytes) -> None:
         """Write a grant, at the simulated time of the row before it."""
@@ -109,8 +125,27 @@ class Recording:
         self.bag.write(topics.PERTURBATION_TOPIC, stamp, push.encode())
 
     def flush(self) -> None:
-        """Put all rows on disk; raises RunFailed where there is no room."""
+        """Put all rows on disk, the last one with memories; raises RunFailed without room."""
+        self._remember()
         self.bag.flush()
+
+    def close(self) -> None:
+        """Do the same, and complete the bag."""
+        try:
+            self._remember()
+        finally:
+            self.bag.close()
+
+    def _remember(self) -> None:
+        """Write the memories that go with the last row, once."""
+        waiting = self._waiting
+        if waiting is not None and waiting.chunk is None and self.bag.writable:
+            chunk = self.bag.chunks_safe
+            self.bag.write_together(
+                (place, self._stamp, data)
+                for place, data in zip(self._remembered, waiting.memories, strict=True)
+            )
+            self._waiting = waiting._replace(chunk=chunk)
 
     def _placed(self, row: Row) -> Iterator[tuple[int, bytes]]:
         """Yield the messages of a row in the order of the bag, each with its topic's place."""
@@ -125,51 +160,61 @@ class Recording:
     def _look(self) -> None:
         """Take note of the row that waits once its chunk is on disk, whoever put it there."""
         waiting = self._waiting
-        if waiting is not None and self.bag.chunks_safe > waiting.chunk:
-            self._saved, self._checkpoint = waiting.step, waiting.states
-            self._waiting = None
+        if waiting is None or waiting.chunk is None or self.bag.chunks_safe <= waiting.chunk:
+            return
+        self._saved, self._checkpoint = waiting.step, waiting.states
+        self._memories = waiting.memories
+        self._waiting = None
 
     def _find_checkpoint(self, begun: Begun) -> None:
         """Find the last row of a bag that is gone on with, and drop what follows it."""
         number = len(begun.chunks)
         held: list[Message] = []
-        end, states = 0, list[bytes]()
+        end, states, memories = 0, list[bytes](), list[bytes]()
         while number and not states:
             number -= 1
             held = begun.messages(number) + held
-            end, states = self._last_row(held)
+            end, states, memories = self._last_row(held)
         if end < len(held):  # not by us: some other writer ended a chunk within a row
             self.bag.cut_back(number)
             self.bag.write_together(held[:end])
             self.bag.flush()
         if states:
             self._saved, self._checkpoint = messages.State.step_of(states[0]), states
+            self._memories = memories
             self._stamp = self._configuration.stamp(self._saved)
         with BagReader(self.bag.directory) as bag:
             for _, _, data in bag.messages([topics.PERTURBATION_TOPIC]):
                 push = messages.Push.decode(data)
                 self.live[push.number] = push.perturbation
 
-    def _last_row(self, held: Sequence[Message]) -> tuple[int, list[bytes]]:
-        """Return the end in `held` of the last whole row with what follows it, and its states."""
-        bird_of = {place: bird for bird, place in enumerate(self._states)}
+    def _last_row(self, held: Sequence[Message]) -> tuple[int, list[bytes], list[bytes]]:
+        """Return the end in `held` of the last whole row with what follows it, and what it says.
+
+        That are its states, and the memories that go with it.
+        """
+        places = [*self._states, *self._remembered]
+        birds = len(self._states)
+        order = {place: k for k, place in enumerate(places)}
         between = {
             self._place.get(name) for name in (topics.GRANT_TOPIC, topics.PERTURBATION_TOPIC)
         }
         end, whole = 0, list[bytes]()
         row: list[bytes] = []
+        step = -1
         for at, (place, _, data) in enumerate(held):
-            bird = bird_of.get(place)
-            if bird is not None:
-                if bird == 0:
-                    row = []
-                if bird == len(row) and _same_step([*row[:1], data]):
+            k = order.get(place)
+            if k is not None:
+                said = (messages.State if k < birds else messages.Memory).step_of(data)
+                if k == 0:
+                    row, step = [], said
+                if k == len(row) and said == step:
                     row.append(data)
-                if len(row) == len(bird_of):
+                if len(row) == len(places):
                     end, whole, row = at + 1, row, []
             elif place in between and at == end:
                 end = at + 1
-        return end, whole
+        return end, whole[:birds], whole[birds:]
 
 
 @contextmanager
@@ -192,7 +237,7 @@ def recording(
     try:
         yield run
     finally:
-        run.bag.close()
+        run.close()
 
 
 def lay_down(
@@ -222,18 +267,23 @@ def _kinds(
         kinds[topics.PERTURBATION_TOPIC] = messages.Push
     kinds |= {topics.wing_topic(bird): messages.Wing for bird in birds}
     kinds |= {topics.state_topic(bird): messages.State for bird in birds}
+    if grants:  # what can be gone on with
+        linkage = configuration.linkage
+        remember = [bird for bird in birds if linkage.remembers(bird)]
+        kinds |= {topics.memory_topic(bird): messages.Memory for bird in remember}
     if stages:
         kinds |= {topics.stage_topic(bird): messages.Stage for bird in birds}
     return kinds
 
 
-def _same_step(states: Sequence[bytes]) -> bool:
-    return len({messages.State.step_of(state) for state in states}) == 1
-
-
 def configuration_record(configuration: FlockConfiguration) -> dict[str, str]:
-    """Return the configuration as text, key by key, with the version that flew it."""
+    """Return the configuration as text, key by key, with the version that flew it.
+
+    Where nothing is said of links, nothing is written of them: such bags are as they always were.
+    """
     values: dict[str, Any] = {**configuration.parameters(), "flock_version": __version__}
+    if not configuration.links:
+        del values["links"]
     return {key: json.dumps(value) for key, value in values.items()}
 
 

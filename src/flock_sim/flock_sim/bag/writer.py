@@ -213,6 +213,11 @@ class BagWriter:
         self.close()
 
     @property
+    def writable(self) -> bool:
+        """Whether anything can be written: the bag is not closed, and nothing has failed."""
+        return self._failure is None
+
+    @property
     def messages_safe(self) -> int:
         """Messages that a kill -9 of this process can't lose any more."""
         return self._written.messages

@@ -2,8 +2,9 @@
 """What is to be recorded, put in order: messages in, as they come; complete rows out.
 
 A row is all that belongs to one recorded step: the wings (with the first), the stages of the steps
-since the row before (where stages are recorded), the time, and the state of every bird. Rows leave
-in order, each once, so that what the bag holds does not depend on how messages travelled.
+since the row before (where stages are recorded), the time, the state of every bird, and the memory
+of those who have one. Rows leave in order, each once, so that what the bag holds does not depend on
+how messages travelled.
 
 States say which run and epoch they are of; in the bag they say so no more.
 """
@@ -11,10 +12,10 @@ States say which run and epoch they are of; in the bag they say so no more.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import State, Time
+from flock_sim.core.messages import Memory, State, Time
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.core.stage_message import stage_header
@@ -32,6 +33,8 @@ class Row:
     time: bytes
     states: list[bytes]
     """The state of bird 1, 2, ... N."""
+    memories: list[bytes] = field(default_factory=list)
+    """The memory of those birds that have one, in order."""
 
 
 class _Gathering:
@@ -41,6 +44,7 @@ class _Gathering:
         self.stages: dict[tuple[int, int], bytes] = {}
         self.time: bytes | None = None
         self.states: dict[int, bytes] = {}
+        self.memories: dict[int, bytes] = {}
 
 
 class Ledger:
@@ -53,10 +57,12 @@ class Ledger:
         self.ignored_for: Counter[str] = Counter()
         """How many messages were left out, by the reason."""
         self._configuration = configuration
+        self._birds = range(1, configuration.birds + 1)
         self._every = configuration.record_every
         self._record_stages = record_stages
         self._rows: dict[int, _Gathering] = {}
         self._wings: dict[int, bytes] = {}
+        self._remember = [bird for bird in self._birds if configuration.linkage.remembers(bird)]
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every
         self._last = self._last_due(configuration.steps)
@@ -95,8 +101,10 @@ class Ledger:
         row = self._row(self._next)
         return [
             bird
-            for bird in range(1, self._configuration.birds + 1)
-            if bird not in row.states or (self._next == 0 and bird not in self._wings)
+            for bird in self._birds
+            if bird not in row.states
+            or (self._next == 0 and bird not in self._wings)
+            or (bird in self._remember and bird not in row.memories)
         ]
 
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
@@ -115,6 +123,19 @@ class Ledger:
         if not self._due(step) or bird in self._row(step).states:
             return self._ignore(REPEATED)
         self._row(step).states[bird] = State.opened(data)
+        return self._complete()
+
+    def add_memory(self, bird: int, data: bytes) -> list[Row]:
+        """Take a BirdMemory of `bird`; return the rows that are complete with it."""
+        memory = Memory.decode(data)
+        if (memory.run_id, memory.epoch) != self._run:
+            return self._ignore(FOREIGN if memory.run_id != self._run[0] else STALE)
+        size = self._configuration.linkage.remembers(bird) * self._configuration.members
+        if len(memory.data) != size:
+            return self._ignore(MISSHAPEN)
+        if not self._due(memory.step) or bird in self._row(memory.step).memories:
+            return self._ignore(REPEATED)
+        self._row(memory.step).memories[bird] = data
         return self._complete()
 
     def add_time(self, data: bytes) -> list[Row]:
@@ -153,21 +174,26 @@ class Ledger:
 
     def _complete(self) -> list[Row]:
         rows = []
-        birds = range(1, self._configuration.birds + 1)
-        stages = STAGES * self._every * len(birds) if self._record_stages else 0
+        birds = self._birds
+        timetable = self._configuration.linkage.timetable
         while not self.complete:
             row = self._row(self._next)
+            stages = 0
+            if self._record_stages and self._next:
+                stages = len(birds) * timetable.exchanges(self._next - self._every, self._next)
             if (
                 row.time is None
                 or (self._next == 0 and len(self._wings) < len(birds))
                 or len(row.states) < len(birds)
-                or len(row.stages) < (stages if self._next else 0)
+                or len(row.stages) < stages
+                or len(row.memories) < len(self._remember)
             ):
                 break
             in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
             states = [row.states[bird] for bird in birds]
             wings = [] if self._next else [self._wings[bird] for bird in birds]
-            rows.append(Row(self._next, wings, in_order, row.time, states))
+            memories = [row.memories[bird] for bird in self._remember]
+            rows.append(Row(self._next, wings, in_order, row.time, states, memories))
             del self._rows[self._next]
             self._next += self._every
         return rows

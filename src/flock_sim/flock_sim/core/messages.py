@@ -8,7 +8,7 @@ Having them here lets the core, the recorder and the offline tools work on bytes
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -20,6 +20,7 @@ from flock_sim.core.perturbation import Perturbation
 ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 FRAME = "flock"
 STATE_ENVELOPE = struct.Struct("<QI")  # run id and epoch, the last fields of a state
+MEMORY_STEP_AT = 12  # encapsulation 4, run id 8
 STATE_STEP_AT = 28  # encapsulation 4, stamp 8, length of FRAME 4, FRAME and its zero 6, padding 6
 
 BILLION = 1_000_000_000
@@ -81,7 +82,7 @@ class Message:
         return cls(*values)
 
     def _values(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+        return tuple(getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
 
 
 def _align(data: bytearray, size: int) -> None:
@@ -229,15 +230,40 @@ class Progress(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Memory(Message):
+    """BirdMemory: what a bird remembers, at the beginning of `step`, of what it has heard.
+
+    `data` has shape (vectors * members,), those of `core.links.receiver`.
+    """
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdMemory"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", "numbers")
+
+    run_id: int
+    step: int
+    epoch: int
+    bird: int
+    data: FloatArray
+
+    @staticmethod
+    def step_of(data: bytes) -> int:
+        """Return the step of an encoded memory, without decoding it."""
+        if len(data) < MEMORY_STEP_AT + 8:
+            raise ValueError(f"{Memory.TYPE}: {len(data)} bytes are too few")
+        return int.from_bytes(data[MEMORY_STEP_AT : MEMORY_STEP_AT + 8], "little")
+
+
+@dataclass(frozen=True, slots=True)
 class Checkpoint(Message):
     """Checkpoint: where `epoch` begins: at `step`, the last one on disk.
 
     `position` and `speed` have shape (birds * members,), bird by bird; empty: the flight begins.
-    `perturbations` are those asked for in flight so far, between spaces.
+    `perturbations` are those asked for in flight so far, between spaces. `memory` is that of all
+    birds in a row, empty where there is none.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Checkpoint"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "numbers", "numbers", "text")
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "numbers", "numbers", "text", "numbers")
 
     run_id: int
     step: int
@@ -245,6 +271,7 @@ class Checkpoint(Message):
     position: FloatArray
     speed: FloatArray
     perturbations: str = ""
+    memory: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:

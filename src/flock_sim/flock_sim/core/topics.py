@@ -45,9 +45,15 @@ def state_topic(bird: int) -> str:
     return f"{NAMESPACE}/{bird_name(bird)}/state"
 
 
+def memory_topic(bird: int) -> str:
+    """Return the topic of what a bird remembers, if it remembers anything."""
+    return f"{NAMESPACE}/{bird_name(bird)}/memory"
+
+
 def rows_ahead(configuration: FlockConfiguration) -> int:
     """Return how many recorded steps may be on their way to the recorder at once."""
     row = configuration.birds * (128 + 32 * configuration.members)
+    row += 8 * configuration.members * int(configuration.linkage.memory_ends[-1])
     return min(512, max(8, STATE_BYTES_AHEAD // row))
 
 
@@ -71,6 +77,6 @@ def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
 def depth(topic: str, configuration: FlockConfiguration) -> int:
     """Return the depth of the queues of `topic`: all that may be under way on it, and more."""
     kind = topic.rpartition("/")[2]
-    if kind in ("state", "clock"):
+    if kind in ("state", "memory", "clock"):
         return 2 * rows_ahead(configuration)
     return {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH}.get(kind, 1)

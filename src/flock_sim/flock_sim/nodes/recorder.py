@@ -17,6 +17,7 @@ from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import (
+    BirdMemory,
     BirdStage,
     BirdState,
     BirdWing,
@@ -105,6 +106,7 @@ class RecorderNode(DrainedNode):
         sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
             (BirdWing, topics.wing_topic, self._hear_wing),
             (BirdState, topics.state_topic, self.ledger.add_state),
+            (BirdMemory, topics.memory_topic, self.ledger.add_memory),
         ]
         if record_stages:
             sources.append((BirdStage, topics.stage_topic, self.ledger.add_stage))
@@ -112,6 +114,7 @@ class RecorderNode(DrainedNode):
             (self.subscribe_drained(kind, topic(bird)), add, bird)
             for kind, topic, add in sources
             for bird in birds
+            if kind is not BirdMemory or configuration.linkage.remembers(bird)
         ]
 
     def drain(self) -> bool:
@@ -159,7 +162,7 @@ class RecorderNode(DrainedNode):
                 self._save()
                 self._tell(self._run.saved)
         if self.ledger.complete:
-            self._run.bag.close()
+            self._run.close()
 
     @property
     def waiting_for(self) -> str:
@@ -245,6 +248,7 @@ class RecorderNode(DrainedNode):
     def _where(self) -> messages.Checkpoint:
         """Return the checkpoint of this epoch: the last row on disk."""
         states = [messages.State.decode(data) for data in self._run.checkpoint]
+        memories = [messages.Memory.decode(data) for data in self._run.memories]
         pushes = " ".join(str(push) for push in self._run.live.values())
         if not states:
             return messages.Checkpoint.of_start(self._run_id, self._epoch, pushes)
@@ -255,6 +259,7 @@ class RecorderNode(DrainedNode):
             np.concatenate([state.position for state in states]),
             np.concatenate([state.speed for state in states]),
             pushes,
+            np.concatenate([np.empty(0), *(memory.data for memory in memories)]),
         )
 
     def _unfound(self) -> list[str]:
