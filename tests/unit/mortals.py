@@ -23,7 +23,16 @@ import numpy as np
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Stage, State, Time, Wing
+from flock_sim.core.messages import (
+    Checkpoint,
+    Grant,
+    Memory,
+    Progress,
+    Stage,
+    State,
+    Time,
+    Wing,
+)
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_inbox import NEVER
@@ -129,6 +138,9 @@ class Recorder:
             self._epoch,
             np.concatenate([state.position for state in states]),
             np.concatenate([state.speed for state in states]),
+            memory=np.concatenate(
+                [np.empty(0), *(Memory.decode(data).data for data in disk.rows[-1].memories)]
+            ),
         )
 
 
@@ -262,6 +274,7 @@ class World:
         for bird in range(1, self.configuration.birds + 1):
             process.hears[topics.wing_topic(bird)] = hears(ledger.add_wing, bird)
             process.hears[topics.state_topic(bird)] = hears(ledger.add_state, bird)
+            process.hears[topics.memory_topic(bird)] = hears(ledger.add_memory, bird)
             if self.stages:
                 process.hears[topics.stage_topic(bird)] = hears(ledger.add_stage, bird)
         return process
@@ -296,6 +309,7 @@ class World:
             Channel.WING: topics.wing_topic(number),
             Channel.STAGE: topics.stage_topic(number),
             Channel.STATE: topics.state_topic(number),
+            Channel.MEMORY: topics.memory_topic(number),
             Channel.PROGRESS: topics.PROGRESS_TOPIC,
         }
         for channel, data in out:
@@ -336,7 +350,9 @@ class World:
 
     def _check_stages(self, row: Row) -> None:
         steps = range(max(0, row.step - self.configuration.record_every), row.step)
-        ticks = [STAGES * step + stage for step in steps for stage in range(STAGES)]
+        due = self.configuration.linkage.timetable.due
+        every = [STAGES * step + stage for step in steps for stage in range(STAGES)]
+        ticks = [tick for tick in every if due(tick)]
         stages = [(bird, Stage.decode(data)) for bird, data in row.stages]
         assert [(STAGES * s.step + s.stage, s.bird, bird) for bird, s in stages] == [
             (tick, bird, bird) for tick in ticks for bird in range(1, len(self.birds) + 1)

@@ -12,7 +12,7 @@ from enum import Enum
 from random import Random
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.protocol import BirdProtocol, Channel
 from flock_sim.core.runge_kutta import STAGES
@@ -146,6 +146,7 @@ class Network:
                 Channel.WING: self._send_wing,
                 Channel.STAGE: self._send_stage,
                 Channel.STATE: self._send_state,
+                Channel.MEMORY: self._send_memory,
                 Channel.PROGRESS: self._send_progress,
             }[channel](sender, data)
 
@@ -156,25 +157,36 @@ class Network:
         assert self.log[sender].wings_sent == 1
         self._to_listeners(Kind.WING, sender, data)
 
+    def _send_memory(self, sender: int, data: bytes) -> None:
+        memory = Memory.decode(data)
+        assert (memory.run_id, memory.epoch, memory.bird) == (RUN, EPOCH, sender)
+        assert memory.step == State.step_of(self.log[sender].states[-1])
+
     def _send_stage(self, sender: int, data: bytes) -> None:
         log, stage = self.log[sender], Stage.decode(data)
         tick = STAGES * stage.step + stage.stage
         assert (stage.run_id, stage.epoch, stage.bird) == (RUN, EPOCH, sender)
         assert stage.encode() == data, "a stage is a BirdStage to the last byte"
-        assert tick == log.tick + 1, "each stage once, in order"
+        timetable = self.configuration.linkage.timetable
+        assert tick == timetable.after(log.tick), "each stage once, in order"
         if tick:
-            self._assert_has_heard(sender, tick - 1)
+            self._assert_has_heard(sender, log.tick)
             assert (tick - 1) // STAGES < log.limit, "a bird went on without leave"
         log.tick = tick
         for other in self.birds[sender].neighbours:
-            assert abs(tick - self.log[other].tick) <= 1, "neighbours drifted apart"
+            behind = min(tick, self.log[other].tick)
+            ahead = max(tick, self.log[other].tick)
+            assert ahead <= timetable.after(behind), "neighbours drifted apart"
         self._to_listeners(Kind.STAGE, sender, data)
 
     def _send_state(self, sender: int, data: bytes) -> None:
         log, state = self.log[sender], State.decode(data)
         assert state.step == len(log.states) * self.configuration.record_every
         assert state.step <= log.limit, "a state beyond what was granted"
-        assert log.tick == STAGES * state.step, "a state goes out at the beginning of its step"
+        timetable = self.configuration.linkage.timetable
+        assert log.tick <= STAGES * state.step < timetable.after(log.tick), (
+            "a state goes out at the beginning of its step"
+        )
         self._assert_has_heard(sender, log.tick)
         assert State.envelope(data) == (RUN, EPOCH)
         log.states.append(State.opened(data))

@@ -15,6 +15,7 @@ from flock_sim.core.messages import Grant, Wing
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_message import HEADER, HEADER_AT
 from unit.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
+from unit.random_links import random_links
 
 SPANS = ("0.9", "1.0", "1.07")
 
@@ -29,19 +30,26 @@ def configurations(draw) -> FlockConfiguration:
             ratios = draw(st.lists(st.sampled_from(SPANS), min_size=members, max_size=members))
             entries.append(f"{bird}={','.join(ratios)}")
     dt = draw(st.sampled_from([0.5, 1.0, 4.0]))
+    coupling = draw(st.sampled_from(["nearest", "all"]))
+    links = ()
+    if draw(st.booleans()):
+        random = Random(draw(st.integers(0, 2**32 - 1)))
+        links = random_links(random, birds, coupling, members if entries else 2)
     return FlockConfiguration(
         birds=birds,
-        coupling=draw(st.sampled_from(["nearest", "all"])),
+        coupling=coupling,
         dt=dt,
         t_max=dt * draw(st.integers(1, 8)),
         record_every=draw(st.integers(1, 3)),
         span_ratios=tuple(entries),
+        links=links,
     )
 
 
-def two_ticks_ahead(header, network, to):
-    """Further than a neighbour can be: it has to hear the tick between from this bird first."""
-    step, stage = divmod(max(network.log[to].tick, 0) + 2, STAGES)
+def two_exchanges_ahead(header, network, to, more=0):
+    """Further than a neighbour can be: it has to hear the one between from this bird first."""
+    after = network.configuration.linkage.timetable.after
+    step, stage = divmod(after(after(max(network.log[to].tick, 0))) + more, STAGES)
     return header[0], step, *header[2:4], stage, header[5]
 
 
@@ -58,12 +66,8 @@ FORGERIES = {
         network.configuration.birds + 1,
         *header[4:],
     ),
-    "two ticks ahead": two_ticks_ahead,
-    "steps ahead": lambda header, network, to: (
-        header[0],
-        network.birds[to].step + 2,
-        *header[2:],
-    ),
+    "two exchanges ahead": two_exchanges_ahead,
+    "steps ahead": lambda header, network, to: two_exchanges_ahead(header, network, to, 2 * STAGES),
     "the end of time": lambda header, network, to: (header[0], 2**64 - 1, *header[2:]),
     "other members": lambda header, network, to: (*header[:5], header[5] + 1),
 }
@@ -215,8 +219,9 @@ class Adversary(RuleBasedStateMachine):
         network = self.network
         network.in_flight += self.lost
         network.deliver_all(self.random)
-        # Each time that all who wait say so again, somebody goes on by a stage or more.
-        for _ in range(STAGES * network.configuration.steps + 1):
+        # Each time that all who wait say so again, somebody goes on by an exchange or more.
+        timetable, steps = network.configuration.linkage.timetable, network.configuration.steps
+        for _ in range(timetable.exchanges(0, steps) + 1):
             for bird in network.birds:
                 network.say_again(bird)
             network.deliver_all(self.random)

@@ -17,6 +17,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
 from unit.mortals import CLOCK, World
+from unit.random_links import random_links
 
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
 
@@ -27,18 +28,21 @@ def small_queues(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(topics, "STATE_BYTES_AHEAD", 1)
 
 
-def random_world(seed: int) -> World:
+def random_world(seed: int, linked: bool = False) -> World:
     """A flight that is small enough for every kind of coincidence to happen in it."""
     random = Random(seed)
     birds = random.randint(1, 4)
     every = random.randint(1, 3)
     spans = ("1=1e100,1",) if random.random() < 0.1 else ("1=0.9", f"{birds}=1.07")[: birds - 1]
+    coupling = random.choice(["nearest", "all"])
+    members = random.choice([1, 2])
     configuration = FlockConfiguration(
         birds=birds,
-        coupling=random.choice(["nearest", "all"]),
+        coupling=coupling,
         t_max=float(random.randint(1, 24)),
         record_every=every,
         span_ratios=spans,
+        links=random_links(random, birds, coupling, members) if linked else (),
     )
     record = random.random() < 0.75
     stages = record and random.random() < 0.3
@@ -70,10 +74,11 @@ def trouble(world: World, deaths: int, calm: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+@pytest.mark.parametrize("linked", [False, True], ids=["plain", "linked"])
 @pytest.mark.parametrize("hundred", range(50 if TORTURE else 2))
-def test_a_flight_full_of_deaths_is_the_flight_without(hundred: int) -> None:
+def test_a_flight_full_of_deaths_is_the_flight_without(hundred: int, linked: bool) -> None:
     for seed in range(100 * hundred, 100 * (hundred + 1)):
-        world = random_world(seed)
+        world = random_world(seed, linked)
         try:
             trouble(world, deaths=1 + seed % 9, calm=5 + 3 * (seed % 40))
             world.settle()
@@ -84,9 +89,9 @@ def test_a_flight_full_of_deaths_is_the_flight_without(hundred: int) -> None:
 class Mortality(RuleBasedStateMachine):
     """Kills and brings back whom it likes, and delivers; in the end all live and hear."""
 
-    @initialize(seed=st.integers(0, 2**32 - 1), crowd=st.booleans())
-    def take_off(self, seed: int, crowd: bool) -> None:
-        self.world = random_world(seed)
+    @initialize(seed=st.integers(0, 2**32 - 1), crowd=st.booleans(), linked=st.booleans())
+    def take_off(self, seed: int, crowd: bool, linked: bool) -> None:
+        self.world = random_world(seed, linked)
         if crowd:
             self.world.bring(*self.world.everybody)
 

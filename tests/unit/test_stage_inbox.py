@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from flock_sim.core.links.timetable import Timetable
 from flock_sim.core.messages import Stage
 from flock_sim.core.stage_inbox import (
     AGAIN,
@@ -152,3 +153,45 @@ def test_what_is_said_again_to_a_bird_that_has_not_begun_is_no_news() -> None:
     box = inbox(tick=40)
     assert box.take(stage(1, 40, epoch=EPOCH + 1)) == ""
     assert box.take(stage(1, 40, epoch=EPOCH + 1)) == AGAIN
+
+
+def test_between_two_exchanges_nothing_is_lacking_and_the_next_one_is_taken() -> None:
+    box = StageInbox([1, 3], 1, Timetable(False, (3,)))
+    box.close(RUN, EPOCH)
+    box.open(0)
+    assert lacking(box) == [1, 3]
+    assert box.take(stage(1, 0)) == box.take(stage(3, 0)) == ""
+    assert [box.turn(tick) for tick in range(1, 12)] == [False] * 11
+    assert lacking(box) == []
+    assert box.take(stage(1, 4)) == REPEATED
+    assert box.take(stage(1, 12)) == ""
+    assert box.take(stage(1, 24)) == REPEATED
+    before = box.side
+    assert box.turn(12)
+    assert box.side != before
+    assert lacking(box) == [3]
+
+
+def test_an_epoch_that_begins_between_two_exchanges_takes_the_next_one_that_came_early() -> None:
+    box = StageInbox([1, 3], 1, Timetable(False, (3,)))
+    box.close(RUN, EPOCH)
+    assert box.take(stage(1, 12)) == ""
+    box.open(8)
+    assert lacking(box) == []
+    assert [box.turn(tick) for tick in range(9, 13)] == [False, False, False, True]
+    assert lacking(box) == [3]
+
+
+def test_what_is_said_again_is_known_by_the_exchange_whatever_tick_that_is_at() -> None:
+    box = StageInbox([1, 3], 1, Timetable(False, (3, 5)))  # at ticks 0, 12, 20, 24, 36, 40, 48
+    box.close(RUN, EPOCH)
+    box.open(0)
+    for tick in range(27):
+        for bird in (1, 3):
+            box.take(stage(bird, tick))
+        box.turn(tick + 1)
+    told = {tick: box.take(stage(1, tick)) for tick in range(50) if tick != 36}
+    assert [tick for tick, reason in told.items() if reason == AGAIN] == [12, 20, 24]
+    assert set(told.values()) == {AGAIN, REPEATED}
+    assert box.take(stage(1, 36)) == ""
+    assert box.take(stage(1, 36)) == AGAIN

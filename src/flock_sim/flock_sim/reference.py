@@ -28,7 +28,7 @@ from flock_sim.progress import progress_bar
 from flock_sim.recording import recording
 from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.run import Run
-from flock_sim.warm import warm
+from flock_sim.warm import warm, warm_links
 
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
@@ -84,6 +84,8 @@ def _integrate(
 ) -> float:
     """Integrate and record; return the seconds that went into the integration itself."""
     warm()  # loading compiled code is no part of the rate
+    if not configuration.linkage.plain:
+        warm_links()
     seconds = 0.0
     with (
         recording(output, configuration, grants=False, live=bool(live)) as run,

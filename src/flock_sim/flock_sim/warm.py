@@ -12,7 +12,7 @@ from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
 from flock_sim.core.messages import Checkpoint, Grant, Wing
 from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import BirdProtocol
+from flock_sim.core.protocol import BirdProtocol, Channel
 from flock_sim.core.stability import eigenvalues
 
 
@@ -33,6 +33,23 @@ def warm() -> None:
     interaction_integral(1.0, 2.0, 0.5, 0.5)
 
 
+def warm_links() -> None:
+    """Do the same with links that are not plain."""
+    configuration = FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
+    for _ in Monolith(configuration).fly():
+        pass
+    birds = [BirdProtocol(bird, configuration, run_id=1) for bird in (1, 2)]
+    said = []
+    for bird in birds:
+        bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
+        for other in (1, 2):
+            bird.receive_wing(Wing(1, other, configuration.span_ratio[other - 1]))
+        said += bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
+    for channel, data in said:
+        if channel is Channel.STAGE:
+            birds[0].receive_stage(data)
+
+
 def warm_steady_states() -> None:
     """Do the same with what is known of flocks without flying them."""
     for coupling in COUPLINGS:
@@ -43,4 +60,5 @@ def warm_steady_states() -> None:
 
 if __name__ == "__main__":
     warm()
+    warm_links()
     warm_steady_states()

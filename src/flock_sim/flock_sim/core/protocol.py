@@ -4,7 +4,9 @@
 No ROS, no clock, no threads. A bird sends its values at an RK4 stage, waits for the same stage of
 its neighbours, computes its slopes and so its values at the next stage. Data dependence alone
 keeps neighbours within one stage of each other, so two slots per neighbour hold all that can
-arrive; what comes twice, late or too early is counted and changes nothing.
+arrive; what comes twice, late or too early is counted and changes nothing. Where no link needs all
+stages, messages are exchanged at the steps of the flock's timetable only, and between these a bird
+goes by what it remembers.
 
 A grant of a newer epoch sends everybody back: the bird forgets where it is, waits for the
 checkpoint of that epoch and goes on from there. That is how a flight begins, too.
@@ -21,7 +23,8 @@ from flock_sim.core import formation
 from flock_sim.core.bird_step import DRAG, POSITION, SPEED, WORK_ROWS, begin, feel_and_move
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
-from flock_sim.core.messages import Checkpoint, Grant, Progress, State, Wing
+from flock_sim.core.links.receiver import Receiver
+from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, Wing
 from flock_sim.core.neighbourhood import Neighbourhood
 from flock_sim.core.perturbation import Perturbation, perturbations
 from flock_sim.core.runge_kutta import STAGES
@@ -57,6 +60,7 @@ class Channel(Enum):
     WING = "wing"
     STAGE = "stage"
     STATE = "state"
+    MEMORY = "memory"
     PROGRESS = "progress"
 
 
@@ -119,7 +123,10 @@ class BirdProtocol:
         self._wing = ratio
         self._around = Neighbourhood(bird, configuration)
         self.neighbours = self._around.birds
-        self._inbox = StageInbox(self.neighbours, members, run_id)
+        linkage = configuration.linkage
+        self._timetable = linkage.timetable
+        self._inbox = StageInbox(self.neighbours, members, self._timetable, run_id)
+        self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
         self._work = np.zeros((WORK_ROWS, members))
@@ -287,6 +294,8 @@ class BirdProtocol:
             and size in (0, configuration.birds * self._members)
             and checkpoint.step <= (configuration.steps if size else 0)
             and checkpoint.step % configuration.record_every == 0
+            and len(checkpoint.memory)
+            == (configuration.linkage.memory_ends[-1] * self._members if size else 0)
         )
 
     def _begin(self) -> list[Outgoing]:
@@ -315,9 +324,11 @@ class BirdProtocol:
             self._work[SPEED] = self._cruise_speed
             self._push(0)
         begin(self._own, self._mine, self._work)
+        if self._receiver:
+            self._receiver.begin(checkpoint.memory)
         self._grant(self._granted)
         self._inbox.open(self._tick)
-        out = [self._stage()]
+        out = [self._stage()] if self._timetable.due(self._tick) else []
         return out if self._inbox.lacking else out + self._advance()
 
     def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:
@@ -358,16 +369,21 @@ class BirdProtocol:
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""
         out: list[Outgoing] = []
-        inbox = self._inbox
+        inbox, receiver = self._inbox, self._receiver
         while not inbox.lacking:
             step, stage = divmod(self._tick, STAGES)
             if not self._held:
+                heard = inbox.heard
+                if receiver is not None:
+                    heard = receiver.listen(
+                        self._tick, self._around.geometry, heard[inbox.side], self._mine
+                    )
                 feel_and_move(
                     self._tick,
                     self._dt,
                     self._own,
                     self._around.geometry,
-                    inbox.heard,
+                    heard,
                     self._mine,
                     self._work,
                 )
@@ -379,8 +395,8 @@ class BirdProtocol:
             self._tick += 1
             if stage + 1 == STAGES and self._pushes and self._push(step + 1):
                 begin(self._own, self._mine, self._work)
-            inbox.turn(self._tick)
-            out.append(self._stage())
+            if inbox.turn(self._tick):
+                out.append(self._stage())
         return out
 
     def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
@@ -388,6 +404,10 @@ class BirdProtocol:
         out = []
         if step % self._configuration.record_every == 0 and step != self._start:
             out.append((Channel.STATE, self._state(step, words).encode()))
+            if self._receiver:
+                data = self._receiver.memory.ravel()
+                memory = Memory(self.run_id, step, self._epoch, self.bird, data)
+                out.append((Channel.MEMORY, memory.encode()))
         self._reached = step
         if step >= self._granted or step == self._report_at:
             out.append(self._progress(step))

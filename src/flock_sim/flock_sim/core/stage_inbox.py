@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the stage messages of a bird's neighbours arrive.
 
-There are two slots for each neighbour, this stage's and the next one's; what belongs to neither is
-not for us, or not now, and the reason is told.
+There are two slots for each neighbour, this exchange's and the next one's; what belongs to neither
+is not for us, or not now, and the reason is told.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.links.timetable import Timetable
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_message import (
     HEADER,
@@ -42,10 +43,23 @@ NEVER = -1
 
 
 class StageInbox:
-    """The inbox of one bird. `heard` has shape (2, neighbours, words): even ticks and odd ones."""
+    """The inbox of one bird. `heard` has shape (2, neighbours, words): one exchange and the next.
 
-    def __init__(self, neighbours: Sequence[int], members: int, run_id: int = 0) -> None:
+    Where there is one at every tick, the first is that of even ticks.
+    """
+
+    def __init__(
+        self,
+        neighbours: Sequence[int],
+        members: int,
+        timetable: Timetable | None = None,
+        run_id: int = 0,
+    ) -> None:
         """Be closed: stages come in once an epoch is open. `run_id` 0: not known yet."""
+        self._timetable = timetable or Timetable()
+        self._every_tick = self._timetable.every_tick
+        self.side = 0
+        """The place in `heard` of this exchange; between two, of the one before."""
         self.heard: FloatArray = np.zeros((2, len(neighbours), stage_words(members)))
         self.size = len(stage_bytes(np.zeros(stage_words(members)), members))
         # The headers of the messages that this stage still lacks, and the next one, each with the
@@ -64,7 +78,7 @@ class StageInbox:
         self._members = members
         self._run_id = run_id
         self._epoch = NEVER
-        self._tick = NEVER
+        self._tick = NEVER  # of this exchange; between two, of the one before
         self._at_start = False
 
     def close(self, run_id: int, epoch: int) -> None:
@@ -81,17 +95,31 @@ class StageInbox:
         """
         self._tick = tick
         self._at_start = tick == 0
-        self.lacking, self._next = self._expected(tick), self._expected(tick + 1)
+        self.side = tick & 1
+        due = self._timetable.due(tick)
+        self.lacking = self._expected(tick, self.side) if due else {}
+        self._next = self._expected(self._timetable.after(tick), 1 - self.side)
         for early in self._early.values():
-            for header in self.lacking.keys() & early.keys():
+            for header in (self.lacking | self._next).keys() & early.keys():
                 self.take(early[header])
         self._forget_early(self._epoch)
 
-    def turn(self, tick: int) -> None:
-        """Go on to `tick`, the next one: what has come for it is there."""
-        self._tick = tick
-        self.lacking, self._next = self._next, self._expected(tick + 1)
+    def turn(self, tick: int) -> bool:
+        """Go on to `tick`, the next one: what has come for it is there.
+
+        Returns whether there is an exchange; where there is none, nothing is lacking.
+        """
         self._at_start = False
+        following = tick + 1
+        if not self._every_tick:
+            if not self._timetable.due(tick):
+                return False
+            following = self._timetable.after(tick)
+        self._tick = tick
+        self.lacking = self._next
+        self._next = self._expected(following, self.side)
+        self.side = 1 - self.side
+        return True
 
     def take(self, data: bytes) -> str:
         """Take a message as it came off the wire; return why it is ignored, or nothing."""
@@ -121,8 +149,7 @@ class StageInbox:
         if epoch < self._epoch:
             return STALE
         early = epoch > self._epoch or self._tick == NEVER
-        # Of the last two that a neighbour has said, the newer is one from ours at most.
-        if not early and self._tick - 2 <= STAGES * step + stage <= self._tick + 1:
+        if not early and self._may_come_again(STAGES * step + stage):
             return AGAIN
         believed = self._epoch == NEVER or epoch <= self._epoch + REACH
         header, kept = data[HEADER_AT:HEADER_END], self._early[bird]
@@ -138,6 +165,11 @@ class StageInbox:
         del kept[next(iter(kept))]  # the oldest, which now is the one that is ignored
         return REPEATED
 
+    def _may_come_again(self, tick: int) -> bool:
+        """Whether `tick` is one of the last two exchanges of a neighbour, who is near ours."""
+        due, after = self._timetable.due, self._timetable.after
+        return due(tick) and tick <= after(self._tick) and self._tick <= after(after(tick))
+
     def _forget_early(self, epoch: int) -> None:
         """Forget what is kept of other runs, and of epochs up to `epoch`."""
         for other, kept in self._early.items():
@@ -147,13 +179,12 @@ class StageInbox:
                 if self._run_of(data) == self._run_id and self._epoch_of(data) > epoch
             }
 
-    def _expected(self, tick: int) -> dict[bytes, tuple[int, memoryview]]:
-        """Return the headers of all neighbours' messages of `tick`."""
+    def _expected(self, tick: int, side: int) -> dict[bytes, tuple[int, memoryview]]:
+        """Return the headers of all neighbours' messages of `tick`, and the room for them."""
         step, stage = divmod(tick, STAGES)
         run_id, epoch, members, pack = self._run_id, self._epoch, self._members, HEADER.pack
         return {
-            pack(run_id, step, epoch, slot[0], stage, members): slot
-            for slot in self._slots[tick & 1]
+            pack(run_id, step, epoch, slot[0], stage, members): slot for slot in self._slots[side]
         }
 
     def _finite(self, data: bytes) -> bool:

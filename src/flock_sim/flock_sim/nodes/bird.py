@@ -12,7 +12,7 @@ from typing import TypeVar
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 
-from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Progress
+from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
@@ -65,6 +65,8 @@ class BirdNode(DrainedNode):
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
             Channel.STATE: (BirdState, topics.state_topic(bird)),
         }
+        if configuration.linkage.remembers(bird):
+            outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
             for channel, (kind, topic) in outlets.items()
