@@ -32,6 +32,11 @@ TOOLS = {
 }
 
 FLOCK = [
+    (["--link", "hodl:delay=1"], ["unknown model 'hodl'", "did you mean 'hold'?"]),
+    (["--link", "3->5=hold"], ["bird 5 does not feel bird 3", "4, 6"]),
+    (["--link", "hold:drop=1"], ["drop=1", "[0, 1)"]),
+    (["--link", "hold:delay=-1"], ["delay=-1", "0..10000"]),
+    (["--link", "hold:delay=1/2", "--span-ratio", "4=1,1.1,1.2"], ["2 members", "have 3"]),
     (["--birds", "0"], ["birds = 0", "1 or more"]),
     (["--birds", "-3"], ["birds = -3", "1 or more"]),
     (["--birds", "2.5"], ["birds = 2.5", "whole number"]),
@@ -100,6 +105,8 @@ FILES = [
     ("coupling: some", ["coupling = 'some'", "nearest, all"]),
     ('span_ratios: "4=1.05"', ["span_ratios = '4=1.05'", "list"]),
     ('span_ratios: ["4=0"]', ["'4=0'", "above 0"]),
+    ('links: "hold"', ["links = 'hold'", "list such as"]),
+    ('links: ["hold:jitter=-1"]', ["jitter=-1", "0..10000"]),
     ("cruise_speed: 17.0", ["cruise_speed = 17", "18"]),
     ("body_mass: 0", ["body_mass = 0", "above 0"]),
     ("wing_span: -1", ["wing_span = -1", "above 0"]),

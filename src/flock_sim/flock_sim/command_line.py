@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 
 from flock_sim import configuration_file
 from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
+from flock_sim.core.links import settings
+from flock_sim.core.links.registry import MODELS
 from flock_sim.core.perturbation import FORM
 from flock_sim.errors import FlockError
 
@@ -28,6 +30,7 @@ FLOCK_OPTIONS = {
     "t_max": "--t-max",
     "record_every": "--record-every",
     "perturbations": "--perturb",
+    "links": "--link",
 }
 """Keys of the configuration that have an option of their own, and which."""
 
@@ -81,6 +84,15 @@ def add_flock_options(parser: argparse.ArgumentParser) -> None:
         dest="perturbations",
         help="push a bird at the beginning of a step: change its position, in b, and speed, in "
         "U_min, in one member or all; may be repeated",
+    )
+    flock.add_argument(
+        "--link",
+        metavar=settings.FORM,
+        action="append",
+        dest="links",
+        help="what birds know of their neighbours, or TARGET of SOURCE (quote the >): the model "
+        f"{', '.join(model.name for model in MODELS)}, and {', '.join(settings.KEYS)}; may be "
+        "repeated, and the last one for a link holds",
     )
 
 

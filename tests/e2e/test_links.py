@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights over link models: the reference's to the bit, whoever is killed on the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter
+
+import pytest
+
+from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from terminal import Job, Terminal
+
+BIRD = "flock_sim.nodes.bird"
+RECORDER = "flock_sim.nodes.recorder"
+
+STEPS = 6000
+FLOCK = ("--birds", 4, "--t-max", STEPS, "--record-every", 10, "--span-ratio", "2=0.97,1,1.03")
+MIXED = (
+    *("--link", "hold:interval=3,delay=5/0/2,jitter=2,drop=0.3,noise=0.01,timeout=40"),
+    *("--link", "2->3=linear:drop=0.2,range=5,position_quantum=0.001,seed=1/2/1"),
+)
+EXACT_TOO = (*MIXED, "--link", "4->3=exact:delay=1,drop=0.1", "--link", "1->2=exact")
+
+
+def last_step(terminal: Terminal) -> int:
+    """The last step that is on disk; -1 for none."""
+    try:
+        return Run(terminal.directory / "bag").at().step
+    except FlockError:
+        return -1
+
+
+def in_flight(terminal: Terminal, *what: object) -> Job:
+    job = terminal.start("fly", *what, "--output", "bag", "--json")
+    job.until(lambda: last_step(terminal) > 0)
+    return job
+
+
+def assert_as_the_reference(terminal: Terminal, *flock: object) -> None:
+    terminal.well("reference", *flock, "--output", "reference")
+    done = terminal.run("compare", "bag", "reference", "--json")
+    assert done.status == 0, done.stdout + done.stderr
+    assert done.json["messages"] == 4 * (STEPS // 10 + 1)
+
+
+@pytest.mark.parametrize("links", [MIXED, EXACT_TOO], ids=["sparse", "every stage"])
+def test_a_flight_over_bad_links_with_kills_is_that_of_the_reference(
+    terminal: Terminal, links: tuple[str, ...]
+) -> None:
+    job = in_flight(terminal, *FLOCK, *links, "--processes", 2)
+    os.kill(job.workers(BIRD)[0], signal.SIGKILL)
+    job.until_said("started again")
+    before = last_step(terminal)
+    job.until(lambda: last_step(terminal) > before)
+    os.kill(*job.workers(RECORDER), signal.SIGKILL)
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    assert done.json["restarts"] == 2
+    assert done.json["rewinds"] >= 1
+    assert_as_the_reference(terminal, *FLOCK, *links)
+
+
+def test_a_flight_over_bad_links_is_gone_on_with_where_it_was_cut_short(terminal: Terminal) -> None:
+    job = in_flight(terminal, *FLOCK, *MIXED, "--processes", 2)
+    os.killpg(job.process.pid, signal.SIGKILL)
+    job.wait()
+    done = terminal.run("fly", "--resume", "bag", "--json")
+    assert done.status == 0, done.stderr
+    assert_as_the_reference(terminal, *FLOCK, *MIXED)
+    terminal.well("reference", "--repeat", "bag", "--output", "again")
+    assert terminal.run("compare", "again", "reference").status == 0
+
+
+def test_messages_over_ros_are_fewer_by_the_stages_and_the_interval(terminal: Terminal) -> None:
+    flock = ("--birds", 2, "--t-max", 40, "--record-every", 5, "--record-stages")
+    terminal.well("fly", *flock, "--link", "linear:interval=5", "--output", "bag")
+    with Run(terminal.directory / "bag") as run:
+        counts = Counter(topic for topic, _, _ in run.bag.messages())
+    assert counts["/flock/bird_01/stage"] == 40 // 5
