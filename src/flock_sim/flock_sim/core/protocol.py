@@ -87,6 +87,8 @@ class BirdProtocol:
 
         `life` tells this bird from those who were it before, if its process is not the first.
         """
+        # CPython reads attributes slower where an object has more than 30 of them: a bird would
+        # take a twentieth longer for a step.
         self.bird = bird
         self.run_id = run_id
         self.life = life
@@ -120,12 +122,9 @@ class BirdProtocol:
         self._own = np.vstack(
             [BirdCoefficients.of(scales, ratio).rows(), formation.VORTEX_FRACTION * ratio]
         )
-        self._wing = ratio
         self._around = Neighbourhood(bird, configuration)
-        self.neighbours = self._around.birds
         linkage = configuration.linkage
-        self._timetable = linkage.timetable
-        self._inbox = StageInbox(self.neighbours, members, self._timetable, run_id)
+        self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
         self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
@@ -135,6 +134,11 @@ class BirdProtocol:
     def step(self) -> int:
         """The step being taken."""
         return self._tick // STAGES
+
+    @property
+    def neighbours(self) -> tuple[int, ...]:
+        """The birds whose messages it hears."""
+        return self._around.birds
 
     @property
     def in_flight(self) -> bool:
@@ -271,7 +275,8 @@ class BirdProtocol:
         self._grant(grant.step)
         out = [self._progress(-1)]
         if first:
-            out.insert(0, (Channel.WING, Wing(self.run_id, self.bird, self._wing).encode()))
+            ratio = self._configuration.span_ratio[self.bird - 1]
+            out.insert(0, (Channel.WING, Wing(self.run_id, self.bird, ratio).encode()))
             self._around.recall(self.run_id)
         return out + self._begin()
 
@@ -327,8 +332,7 @@ class BirdProtocol:
         if self._receiver:
             self._receiver.begin(checkpoint.memory)
         self._grant(self._granted)
-        self._inbox.open(self._tick)
-        out = [self._stage()] if self._timetable.due(self._tick) else []
+        out = [self._stage()] if self._inbox.open(self._tick) else []
         return out if self._inbox.lacking else out + self._advance()
 
     def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:

@@ -88,10 +88,11 @@ class StageInbox:
         self._tick = NEVER
         self._forget_early(epoch - 1)
 
-    def open(self, tick: int) -> None:
+    def open(self, tick: int) -> bool:
         """Begin the epoch at `tick` = 4 step + stage, and take what has come for it already.
 
-        At the start of a flight, tick 0, all values are finite.
+        At the start of a flight, tick 0, all values are finite. Returns whether there is an
+        exchange at `tick`.
         """
         self._tick = tick
         self._at_start = tick == 0
@@ -103,6 +104,7 @@ class StageInbox:
             for header in (self.lacking | self._next).keys() & early.keys():
                 self.take(early[header])
         self._forget_early(self._epoch)
+        return due
 
     def turn(self, tick: int) -> bool:
         """Go on to `tick`, the next one: what has come for it is there.
