@@ -12,7 +12,8 @@ from scipy.optimize import root
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
-from flock_sim.core.lag_stability import MODELS, LaggedMotion, crossings, growth, steady_flight
+from flock_sim.core.lag_stability import crossings, growth, lagged_motion, steady_flight
+from flock_sim.core.lagged_motion import MODELS
 from flock_sim.core.stability import eigenvalues
 from unit.lagged_flights import LaggedFlight
 from unit.steady_flocks import (
@@ -116,7 +117,7 @@ def test_roots_are_roots_of_the_equations_in_50_digits(model, ratios, lag):
     # Entries of Delta are known to ten roundings; |lambda| is 0.02 and roots are some 1e-4 apart.
     # In as many digits, secants from a root that is nearly right end where it should be.
     flock = flock_of(len(ratios), ratios)
-    motion = LaggedMotion.about(flock, lag, model)
+    motion = lagged_motion(flock, lag, model)
     found = motion.rightmost_roots(2 * len(ratios) - 1)
     assert np.all(np.diff(found.real) <= 0.0)
     with mpmath.workdps(50):
@@ -135,7 +136,7 @@ def test_no_root_is_further_right(model, ratios, lag):
     # The phase of det Delta(lambda) / lambda turns once for every root inside of a contour. Here it
     # is the half disc in which all roots right of a line, halfway between two of them, must lie.
     flock = flock_of(len(ratios), ratios)
-    motion = LaggedMotion.about(flock, lag, model)
+    motion = lagged_motion(flock, lag, model)
     with mpmath.workdps(50):
         parts = matrices(*steady_flight(flock, lag, model), ratios, lag, model)
     by_x, by_u, by_past_x, by_past_u = (
@@ -165,11 +166,11 @@ def test_without_a_lag_roots_are_the_eigenvalues(birds, model):
     flock = flock_of(birds)
     state = equilibrium(flock)
     expected = eigenvalues(flock, state.spacing, state.speed)[0]
-    found = LaggedMotion.about(flock, 0.0, model).rightmost_roots(2 * birds - 1)
+    found = lagged_motion(flock, 0.0, model).rightmost_roots(2 * birds - 1)
     assert len(found) == 2 * birds - 1
     assert all(closest(found, value) < 1e-12 for value in expected)
     # Of a short lag they are continuous: lambda lag = 1e-9 of it.
-    near = LaggedMotion.about(flock, 1e-7, model).rightmost_roots(2 * birds - 1)
+    near = lagged_motion(flock, 1e-7, model).rightmost_roots(2 * birds - 1)
     assert all(closest(near, value) < 1e-6 for value in expected)
 
 
@@ -211,7 +212,7 @@ def wings_alike(value, lag, model, constants):
 )
 def test_three_birds_by_hand(model, lag):
     m, q, *_, a, _ = constants = three(lag, model)
-    found = LaggedMotion.about(flock_of(3), lag, model).rightmost_roots(5)
+    found = lagged_motion(flock_of(3), lag, model).rightmost_roots(5)
     # Wing against wing the leader is at rest, and nobody's lag matters.
     swing = (-q + np.emath.sqrt(q**2 - 4.0 * m * a)) / (2.0 * m)
     assert closest(found, swing) < 1e-14
@@ -321,7 +322,7 @@ def flown_roots(ratio, lags, model, steps_a_lag, swings):
     flight = LaggedFlight(
         np.full(position.shape, ratio), position, speed, np.tile(lags, 2), model, steps_a_lag
     )
-    root = LaggedMotion.about(flock_of(3, [ratio] * 3), lags[0], model).rightmost_roots()[0]
+    root = lagged_motion(flock_of(3, [ratio] * 3), lags[0], model).rightmost_roots()[0]
     period = 2.0 * pi / abs(root.imag) / flight.dt[0]
     seen = flight.advance(round(swings * period))
     spread = np.einsum("tbm,b->tm", seen, [1.0, -2.0, 1.0])
@@ -347,7 +348,7 @@ def test_flights_grow_on_one_side_of_the_critical_lag_and_fade_on_the_other(
     lags = critical * np.array([0.95, 0.99, 1.01, 1.05])
     flown = flown_roots(ratio, lags, model, steps, swings)
     for lag, value in zip(lags, flown):
-        motion = LaggedMotion.about(flock_of(3, [ratio] * 3), lag, model)
+        motion = lagged_motion(flock_of(3, [ratio] * 3), lag, model)
         expected = motion.rightmost_roots()[0]
         assert (value.real > 0.0) == (lag > critical) == (expected.real > 0.0)
         # Third orders, (1e-4 b over the 0.2 b in which forces change)^2 = 3e-7 of a frequency of
@@ -361,11 +362,14 @@ def test_flights_grow_on_one_side_of_the_critical_lag_and_fade_on_the_other(
 def test_without_a_steady_state_there_is_no_growth():
     flock = flock_of(3, [0.6, 1.0, 1.0])
     for model in MODELS:
-        assert not LaggedMotion.about(flock, 1.0, model).exists
+        assert not lagged_motion(flock, 1.0, model).exists
         assert np.isnan(growth(flock, 1.0, model))
 
 
-def test_only_known_models_and_one_flock_at_a_time():
+def test_only_known_models_lags_and_one_flock_at_a_time():
+    for model in MODELS:
+        with pytest.raises(ValueError, match="lag"):
+            growth(flock_of(3), -1.0, model)
     with pytest.raises(ValueError, match="hold, linear"):
         growth(flock_of(3), 1.0, "square")
     two = Flock.of(FlockConfiguration(birds=3), np.ones((3, 2)))
