@@ -5,8 +5,13 @@ from __future__ import annotations
 
 import fcntl
 import mmap
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -56,15 +61,49 @@ def test_a_segment_that_is_held_stays(memory: Path, lock: int) -> None:
     assert {path.name for path in memory.iterdir()} == held
 
 
-@pytest.mark.parametrize("file", ["fastrtps_port7411", "sem.fastrtps_port7411_mutex"])
-def test_what_somebody_has_mapped_stays(memory: Path, file: str) -> None:
+HOLD = """\
+import mmap, sys
+file = open(sys.argv[1], "r+b")
+held = mmap.mmap(file.fileno(), 0)
+print("mapped", flush=True)
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def mapped(file: Path) -> Iterator[None]:
+    """Have another process map `file`."""
+    file.write_bytes(bytes(mmap.PAGESIZE))
+    command = [sys.executable, "-c", HOLD, str(file)]
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE) as other:
+        assert other.stdin
+        assert other.stdout
+        assert other.stdout.readline() == b"mapped\n"
+        yield
+        other.stdin.close()
+
+
+@pytest.mark.parametrize("file", ["fastrtps_port7011", "sem.fastrtps_port7011_mutex"])
+def test_a_port_that_is_no_domains_stays_while_anybody_has_it_mapped(
+    memory: Path, file: str
+) -> None:
     # Its owner has ended and given up its lock; whoever has it mapped removes it, or takes it over.
-    files = segment(memory, "port7411", mutex=True)
-    (memory / file).write_bytes(bytes(mmap.PAGESIZE))
-    with (memory / file).open("r+b") as opened, mmap.mmap(opened.fileno(), 0):
+    files = segment(memory, "port7011", mutex=True)
+    with mapped(memory / file):
         remove_orphans(memory)
         assert {path.name for path in memory.iterdir()} == files
     remove_orphans(memory)
+    assert list(memory.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["port8413", "0123456789abcdef"])
+def test_what_only_our_own_flight_can_have_is_removed_all_the_same(
+    memory: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "4")
+    segment(memory, name)
+    with mapped(memory / f"fastrtps_{name}"):
+        remove_orphans(memory)
     assert list(memory.iterdir()) == []
 
 

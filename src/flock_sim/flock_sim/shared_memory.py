@@ -22,6 +22,9 @@ LOCKS = ("_el", "_sl")
 UNHELD = 0.2
 """Age, in s, below which a lock file may not be held yet by the process that has made it."""
 
+FIRST_PORT, PORTS = 7400, 250
+"""The ports of domain 0 begin here, and each domain has so many."""
+
 YOUNGEST = 2.0
 """Age, in s, below which something without a lock file may still be in the making."""
 
@@ -37,7 +40,7 @@ def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
             for lock in locks:
                 held.enter_context(_held(lock))
             age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
-            if age > (UNHELD if locks else YOUNGEST) and name not in _mapped():
+            if age > (UNHELD if locks else YOUNGEST) and not _may_be_taken_over(name):
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
 
@@ -53,15 +56,26 @@ def _held(lock: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _mapped() -> set[str]:
-    """Return the names of the segments and ports that processes of this machine have mapped.
+def _may_be_taken_over(name: str) -> bool:
+    """Whether `name` is a port that a process of another flight may have, or get, by its number.
 
     Who ends in order gives up the lock of its port at once, but others may have the port, or its
     mutex, mapped for some time yet. The last of them removes it by its name: had we done so before,
-    and had somebody new that name by then, nobody who comes later could reach it.
+    and had somebody new that name by then, nobody who comes later could reach it. Ports of our own
+    domain are ours to remove, and so are segments, whose names nobody has twice.
     """
+    _, _, port = name.partition("port")
+    domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    ours = range(FIRST_PORT + domain * PORTS, FIRST_PORT + (domain + 1) * PORTS)
+    return bool(port) and int(port) not in ours and name in _mapped_by_others()
+
+
+def _mapped_by_others() -> set[str]:
+    """Return the names of the segments and ports that other processes have mapped."""
     names = set()
     for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
+            continue
         with suppress(OSError):  # somebody else's, or gone by now
             maps = (process / "maps").read_text(encoding="utf-8", errors="replace")
             names |= {match[0] for match in SEGMENT.finditer(maps)}
