@@ -107,18 +107,26 @@ def test_what_only_our_own_flight_can_have_is_removed_all_the_same(
     assert list(memory.iterdir()) == []
 
 
-def test_one_without_a_lock_file_is_removed_when_it_is_no_longer_in_the_making(
+def test_one_without_a_lock_that_is_in_use_stays_as_long_as_it_may_be_in_the_making(
     memory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     port = memory / "fastrtps_port7413"
-    port.touch()
-    born = port.stat().st_ctime
-    monkeypatch.setattr(time, "time", lambda: born + 0.9 * YOUNGEST)
+    with mapped(port):
+        born = port.stat().st_ctime
+        monkeypatch.setattr(time, "time", lambda: born + 0.9 * YOUNGEST)
+        remove_orphans(memory)
+        assert port.exists()
+        monkeypatch.setattr(time, "time", lambda: born + 1.1 * YOUNGEST)
+        remove_orphans(memory)
+        assert not port.exists()
+
+
+def test_one_without_a_lock_that_nobody_uses_is_removed_at_once(memory: Path) -> None:
+    # Made by who wrote to somebody who was dead by then.
+    (memory / "fastrtps_port7413").touch()
     remove_orphans(memory)
-    assert port.exists()
-    monkeypatch.setattr(time, "time", lambda: born + 1.1 * YOUNGEST)
-    remove_orphans(memory)
-    assert not port.exists()
+    assert list(memory.iterdir()) == []
 
 
 def test_what_is_not_fast_ddss_stays(memory: Path) -> None:

@@ -26,7 +26,9 @@ FIRST_PORT, PORTS = 7400, 250
 """The ports of domain 0 begin here, and each domain has so many."""
 
 YOUNGEST = 2.0
-"""Age, in s, below which something without a lock file may still be in the making."""
+"""Age, in s, below which something that is in use without a lock file may still be in the making.
+
+What nobody uses is not: who writes to somebody dead makes a port without a lock, and leaves it."""
 
 
 def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
@@ -40,7 +42,9 @@ def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
             for lock in locks:
                 held.enter_context(_held(lock))
             age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
-            if age > (UNHELD if locks else YOUNGEST) and not _may_be_taken_over(name):
+            unused = name not in _mapped_by_others()
+            made = age > (UNHELD if locks or unused else YOUNGEST)
+            if made and (unused or _is_ours_alone(name)):
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
 
@@ -56,8 +60,8 @@ def _held(lock: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _may_be_taken_over(name: str) -> bool:
-    """Whether `name` is a port that a process of another flight may have, or get, by its number.
+def _is_ours_alone(name: str) -> bool:
+    """Whether no process of another flight may have `name`, or get it, by its number.
 
     Who ends in order gives up the lock of its port at once, but others may have the port, or its
     mutex, mapped for some time yet. The last of them removes it by its name: had we done so before,
@@ -65,9 +69,8 @@ def _may_be_taken_over(name: str) -> bool:
     domain are ours to remove, and so are segments, whose names nobody has twice.
     """
     _, _, port = name.partition("port")
-    domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
-    ours = range(FIRST_PORT + domain * PORTS, FIRST_PORT + (domain + 1) * PORTS)
-    return bool(port) and int(port) not in ours and name in _mapped_by_others()
+    first = FIRST_PORT + PORTS * int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    return not port or int(port) in range(first, first + PORTS)
 
 
 def _mapped_by_others() -> set[str]:

@@ -138,8 +138,7 @@ def run_node(
                 work(Process(configuration, operation, context, stop, supervised))
             finally:
                 rclpy.try_shutdown(context=context)
-        if not supervised:
-            remove_orphans()
+        remove_orphans()
         return stop.exit_status
 
     def main(arguments: Sequence[str] | None = None) -> int:
