@@ -42,9 +42,10 @@ def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
             for lock in locks:
                 held.enter_context(_held(lock))
             age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
-            unused = name not in _mapped_by_others()
-            made = age > (UNHELD if locks or unused else YOUNGEST)
-            if made and (unused or _is_ours_alone(name)):
+            ours = _is_ours_alone(name)
+            # Asked for only where it matters: it reads the maps of all processes.
+            unused = not (locks and ours) and name not in _mapped_by_others()
+            if age > (UNHELD if locks or unused else YOUNGEST) and (ours or unused):
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
 

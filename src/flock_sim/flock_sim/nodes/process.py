@@ -138,7 +138,7 @@ def run_node(
                 work(Process(configuration, operation, context, stop, supervised))
             finally:
                 rclpy.try_shutdown(context=context)
-        remove_orphans()
+                remove_orphans()
         return stop.exit_status
 
     def main(arguments: Sequence[str] | None = None) -> int:
