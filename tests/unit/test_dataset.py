@@ -51,9 +51,10 @@ def test_a_dataset_knows_the_flock(flight: Path) -> None:
         np.testing.assert_array_equal(data.lateral.T, run.metrics().lateral)
     assert data.attrs["span_ratios"] == "2=1.0,1.02,0.97 4=1.01"
     assert data.attrs["perturbations"] == "none"
+    assert data.attrs["links"] == "none"
     assert data.attrs["leader"] == 3
     parameters = CONFIGURATION.parameters()
-    del parameters["span_ratios"], parameters["perturbations"]
+    del parameters["span_ratios"], parameters["perturbations"], parameters["links"]
     assert data.attrs.items() >= parameters.items()
 
 
