@@ -7,6 +7,7 @@ whoever its parent is by now. All that tools could write by themselves goes belo
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -268,15 +269,21 @@ def open_terminal(directory: Path) -> Iterator[Terminal]:
             terminal.clear()
 
 
+_turns = itertools.count()
+
+
 @contextmanager
 def own_domain() -> Iterator[int]:
     """Give a ROS_DOMAIN_ID that no other test has, in this run of pytest or another.
 
     Claimed by a name in the abstract socket namespace: the kernel gives it back whatever happens.
-    Domains that anybody else talks on are passed over: each has 250 UDP ports from 7400 on.
+    Domains that anybody else talks on are passed over: each has 250 UDP ports from 7400 on. One
+    that was given back is not given again soon: whoever was on it, this process for one, may still
+    have shared memory of it mapped, and removes that by its name when it lets go.
     """
     busy = {(port - 7400) // 250 for port in _udp_ports()}
-    for domain in sorted(set(range(1, 101)) - busy, key=lambda d: (d - os.getpid()) % 101):
+    turn = os.getpid() + next(_turns)
+    for domain in sorted(set(range(1, 101)) - busy, key=lambda d: (d - turn) % 101):
         claim = socket.socket(socket.AF_UNIX)
         try:
             claim.bind(f"\0flock-test-domain-{domain}")

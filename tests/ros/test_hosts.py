@@ -81,8 +81,11 @@ def fly_as_the_reference(terminal: Terminal, hosts: Sequence[Host], birds: int) 
     for bird in range(1, birds + 1):
         host = hosts[1] if 2 * bird <= birds else hosts[2]
         jobs.append(start(terminal, host, "bird", "-p", f"index:={bird}", network=True))
-    for job in jobs:
-        done = job.wait()
+    try:
+        ends = [job.wait() for job in jobs]
+    except AssertionError as late:
+        raise AssertionError("\n".join(job.stderr for job in jobs)) from late
+    for done in ends:
         assert done.status == 0, done.stderr
     terminal.well("reference", "--config", "flock.yaml", "--output", "reference")
     done = terminal.run("compare", "bag", "reference", "--json")
