@@ -35,13 +35,15 @@ class LaggedFlight:
         back = np.arange(-steps_a_lag, 0)[:, np.newaxis, np.newaxis] * self.dt
         self.past = [(position + t * speed, speed, 0.0 * speed) for t in back]
 
-    def acceleration(self, position, speed, seen_position, seen_speed):
-        """dU/dt of all birds that see a past state of the others. Eq. (eom3)."""
+    def acceleration(self, position, speed, seen_position, seen_speed, seen_gain):
+        """dU/dt of all birds that see a past state of the others, and its dU/dt. Eq. (eom3)."""
+        seen_circulation = 1.0 / seen_speed
         if self.model == "linear":
             seen_position = seen_position + self.lag * seen_speed
+            seen_circulation = seen_circulation - self.lag * seen_gain / seen_speed**2
         x = seen_position[self.sources] - position[self.targets]
         drags = self.strength * integral(x, self.across, *self.halves, of=np)
-        drags /= seen_speed[self.sources] * speed[self.targets]
+        drags *= seen_circulation[self.sources] / speed[self.targets]
         force = surplus(self.ratios, speed, H_0) - self.sums @ drags
         return K * force / (self.mass * self.ratios**3)
 
@@ -49,19 +51,20 @@ class LaggedFlight:
         """One step of all members, each by its own dt."""
         dt, x, u = self.dt, self.position, self.speed
         x_0, u_0, a_0 = self.past[0]
-        slope = self.acceleration(x, u, x_0, u_0)
+        slope = self.acceleration(x, u, x_0, u_0, a_0)
         self.past.append((x, u, slope))
         x_1, u_1, a_1 = self.past[1]
         middle = (
             0.5 * (x_0 + x_1) + 0.125 * dt * (u_0 - u_1),
             0.5 * (u_0 + u_1) + 0.125 * dt * (a_0 - a_1),
+            1.5 * (u_1 - u_0) / dt - 0.25 * (a_0 + a_1),
         )
         second = self.acceleration(x + 0.5 * dt * u, u + 0.5 * dt * slope, *middle)
         speed_2 = u + 0.5 * dt * slope
         speed_3 = u + 0.5 * dt * second
         third = self.acceleration(x + 0.5 * dt * speed_2, speed_3, *middle)
         speed_4 = u + dt * third
-        fourth = self.acceleration(x + dt * speed_3, speed_4, x_1, u_1)
+        fourth = self.acceleration(x + dt * speed_3, speed_4, x_1, u_1, a_1)
         self.position = x + dt * (u + 2.0 * speed_2 + 2.0 * speed_3 + speed_4) / 6.0
         self.speed = u + dt * (slope + 2.0 * second + 2.0 * third + fourth) / 6.0
         del self.past[0]

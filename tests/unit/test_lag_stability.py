@@ -30,7 +30,7 @@ from unit.steady_flocks import (
 
 MIXED = [1.002, 0.998, 1.004, 1.0]
 
-CRITICAL_LINEAR = 42.692940881832
+CRITICAL_LINEAR = 41.787076604105
 """Lag at which three geese that move on what they see lose stability, in b / U_min."""
 
 
@@ -47,10 +47,13 @@ def closest(found, value):
 
 
 def accelerations(now, past, ratios, lag, model):
-    """dU/dt of every bird from states (positions, speeds) now and a lag ago, in mpmath."""
-    (position, speed), (was, had) = now, past
+    """dU/dt of every bird from positions and speeds, and those and dU/dt a lag ago, in mpmath."""
+    (position, speed), (was, had, gained) = now, past
     lateral, birds = across(ratios), len(ratios)
-    seen = [x + lag * u if model == "linear" else x for x, u in zip(was, had)]
+    seen, circulated = was, had  # at the speed `circulated` a bird has the circulation that is seen
+    if model == "linear":
+        seen = [x + lag * u for x, u in zip(was, had)]
+        circulated = [1 / (1 / u - lag * a / u**2) for u, a in zip(had, gained)]
     force = [surplus(ratio, u) for ratio, u in zip(ratios, speed)]
     for j in range(birds):
         for i in (j - 1, j + 1):
@@ -60,27 +63,28 @@ def accelerations(now, past, ratios, lag, model):
                     lateral[i] - lateral[j],
                     ratios[i],
                     ratios[j],
-                    (had[i], speed[j]),
+                    (circulated[i], speed[j]),
                     of=mp,
                 )
     return [K * value / (MASS * ratio**3) for value, ratio in zip(force, ratios)]
 
 
 def matrices(spacing, speed, ratios, lag, model):
-    """d(dU/dt) by positions and speeds now and then, four of (N, N): differences in 50 digits."""
+    """d(dU/dt) by positions and speeds now, by these and dU/dt then: five of (N, N), 50 digits."""
     birds = len(ratios)
     ratios = [mp.mpf(float(ratio)) for ratio in ratios]
     lag, speed = mp.mpf(lag), mp.mpf(speed)
     position = [mp.mpf(float(x)) for x in positions_of(spacing)]
-    state = [*position, *[speed] * birds, *[x - speed * lag for x in position], *[speed] * birds]
+    speeds = [speed] * birds
+    state = [*position, *speeds, *[x - speed * lag for x in position], *speeds, *[0] * birds]
     step = mp.mpf(10) ** -16
-    found = [mp.matrix(birds, birds) for _ in range(4)]
-    for column in range(4 * birds):
+    found = [mp.matrix(birds, birds) for _ in range(5)]
+    for column in range(5 * birds):
         sides = []
         for sign in (1, -1):
             moved = list(state)
             moved[column] += sign * step
-            parts = [moved[k * birds : (k + 1) * birds] for k in range(4)]
+            parts = [moved[k * birds : (k + 1) * birds] for k in range(5)]
             sides.append(accelerations(parts[:2], parts[2:], ratios, lag, model))
         for row in range(birds):
             value = (sides[0][row] - sides[1][row]) / (2 * step)
@@ -90,13 +94,14 @@ def matrices(spacing, speed, ratios, lag, model):
 
 def determinant(parts, lag):
     """det Delta(lambda) / lambda, a function for mpmath, of the matrices above."""
-    by_x, by_u, by_past_x, by_past_u = parts
+    by_x, by_u, by_past_x, by_past_u, by_past_a = parts
     birds = by_x.rows
 
     def function(value):
         past = mp.exp(-value * lag)
         delta = value**2 * mp.eye(birds) - by_x - value * by_u
-        return mp.det(delta - past * (by_past_x + value * by_past_u)) / value
+        seen = by_past_x + value * by_past_u + value**2 * by_past_a
+        return mp.det(delta - past * seen) / value
 
     return function
 
@@ -139,7 +144,7 @@ def test_no_root_is_further_right(model, ratios, lag):
     motion = lagged_motion(flock, lag, model)
     with mpmath.workdps(50):
         parts = matrices(*steady_flight(flock, lag, model), ratios, lag, model)
-    by_x, by_u, by_past_x, by_past_u = (
+    by_x, by_u, by_past_x, by_past_u, by_past_a = (
         np.array(part.tolist(), dtype=float).reshape(len(ratios), -1) for part in parts
     )
     found = motion.rightmost_roots(2 * len(ratios) - 1)
@@ -153,7 +158,7 @@ def test_no_root_is_further_right(model, ratios, lag):
     contour = np.concatenate([a + (b - a) * rows[:-1] for a, b in zip(corners, corners[1:])])
     z = contour[:, np.newaxis, np.newaxis]
     delta = z**2 * np.eye(len(ratios)) - by_x - z * by_u
-    delta = delta - np.exp(-z * lag) * (by_past_x + z * by_past_u)
+    delta = delta - np.exp(-z * lag) * (by_past_x + z * by_past_u + z**2 * by_past_a)
     values = np.linalg.det(delta) / contour
     turns = np.angle(np.append(values[1:], values[0]) / values)
     assert np.abs(turns).max() < 1.0  # the contour is fine enough
@@ -199,11 +204,11 @@ def three(lag, model, ratio=1.0):
 
 
 def wings_alike(value, lag, model, constants):
-    """(m z^2 + q z + a) (m z^2 + q z + 2 b) - e^(-2 z tau) (a w + kappa z) (2 b w + kappa z)."""
+    """(m z^2 + q z + a) (m z^2 + q z + 2 b) - e^(-2 z tau) w^2 (a + kappa z) (2 b + kappa z)."""
     m, q, kappa, a, b = constants
     on = 1.0 + value * lag if model == "linear" else 1.0
     own = m * value**2 + q * value
-    seen = np.exp(-2.0 * value * lag) * (a * on + kappa * value) * (2.0 * b * on + kappa * value)
+    seen = np.exp(-2.0 * value * lag) * on**2 * (a + kappa * value) * (2.0 * b + kappa * value)
     return (own + a) * (own + 2.0 * b) - seen
 
 

@@ -3,23 +3,29 @@
 
 About the steady state a small disturbance x_j, v_j = dx_j/dt of positions and speeds obeys
 
-    dv_j/dt = -(sum_i b_ji) x_j - c_j v_j + sum_i [b_ji x_i(t - tau) + (e_ji + a b_ji) v_i(t - tau)]
+    dv_j/dt = -(sum_i b_ji) x_j - c_j v_j + sum_i [b_ji X_i + e_ji V_i]
+    X_i = x_i(t - tau) + a v_i(t - tau)                  V_i = v_i(t - tau) + a dv_i/dt(t - tau)
 
     b_ji = -Gamma_i Gamma_j I'(p_ij) / (4 pi m_j) > 0    c_j = (dD_j/dU - sum_i D_ij / U*) / m_j
     e_ji = D_ij / (m_j U*) < 0                           a = 0 (`hold`), tau (`linear`)
 
 where p_ij is how far ahead bird j sees bird i: x_i - x_j - U* tau, or x_i - x_j if it moves on what
-it sees at the speed that it sees. Disturbances x exp(lambda t) go on where det Delta = 0,
+it sees at the speed that it sees, and the circulation as it changes. Disturbances x exp(lambda t)
+go on where det Delta = 0,
 
-    Delta(lambda) = lambda^2 + lambda c + sum_i b - exp(-lambda tau) (b + lambda (e + a b)).
+    Delta(lambda) = lambda^2 + lambda c + sum_i b - (1 + a lambda) exp(-lambda tau) (b + lambda e).
 
 Moving the whole flock changes nothing: Delta(0) (1, ..., 1) = 0. That root is taken out by writing
 positions as the sums of spacings, and the common part as its speed over lambda:
 
-    Delta(lambda) (1, ..., 1) / lambda = lambda + c - exp(-lambda tau) (e + a b)
+    Delta(lambda) (1, ..., 1) / lambda = lambda + c - exp(-lambda tau) (e + a b + a lambda e)
                                          + sum_i b (1 - exp(-lambda tau)) / lambda
 
 has no pole at 0, so the reduced determinant has all other roots of Delta, and only them.
+
+With `linear` the acceleration of a lag ago counts: an equation of neutral type. As long as it
+counts for less than that of now, sum_i |a e_ji| < 1, which for geese is so up to lags of some
+thousands, roots far to the left are all that this brings.
 """
 
 from __future__ import annotations
@@ -68,6 +74,8 @@ class LaggedMotion:
     """b_ji, row j for the bird that feels, column i for the one that is seen, (birds, birds)."""
     push: FloatArray
     """e_ji + a b_ji, the answer to speeds seen, shape (birds, birds)."""
+    surge: FloatArray
+    """a e_ji, the answer to accelerations seen, shape (birds, birds)."""
 
     @classmethod
     def of(
@@ -96,9 +104,8 @@ class LaggedMotion:
                 pull[j, i] = strength * slope / mass[j]
                 push[j, i] = drag / (mass[j] * speed)
         damping = 2.0 * (profile * speed - induced / speed**3) / mass - push.sum(axis=1)
-        if model == LINEAR:
-            push = push + lag * pull
-        return cls(lag, damping, pull, push)
+        on = lag if model == LINEAR else 0.0
+        return cls(lag, damping, pull, push + on * pull, on * push)
 
     @property
     def exists(self) -> bool:
@@ -109,17 +116,25 @@ class LaggedMotion:
     def most_rapid(self) -> float:
         """What no root with a real part of 0 or more exceeds in size, in U_min / b.
 
-        For those |lambda|^2 is at most what the largest row of Delta has besides.
+        For those |lambda|^2 is at most what the largest row of Delta has besides. Raises RunFailed
+        where accelerations of a lag ago count for more than those of now.
         """
-        by_speed = (np.abs(self.damping) + np.abs(self.push).sum(axis=1)).max()
-        by_position = 2.0 * self.pull.sum(axis=1).max()
+        own = 1.0 - np.abs(self.surge).sum(axis=1).max()
+        if own <= 0.0:
+            raise RunFailed(
+                f"lag {self.lag:g}: birds would answer to their neighbours' accelerations by more "
+                "than these, and no flock could: take a shorter lag"
+            )
+        by_speed = (np.abs(self.damping) + np.abs(self.push).sum(axis=1)).max() / own
+        by_position = 2.0 * self.pull.sum(axis=1).max() / own
         return float(0.5 * (by_speed + sqrt(by_speed**2 + 4.0 * by_position)))
 
     def characteristic(self, root: complex) -> ComplexArray:
         """Return Delta(lambda), shape (birds, birds)."""
         past = np.exp(-root * self.lag)
         own = root * root + root * self.damping + self.pull.sum(axis=1)
-        return np.asarray(np.diag(own) - past * (self.pull + root * self.push))
+        seen = self.pull + root * (self.push + root * self.surge)
+        return np.asarray(np.diag(own) - past * seen)
 
     def reduced(self, root: complex) -> tuple[ComplexArray, ComplexArray]:
         """Return Delta without the root 0 of translation, and its derivative, (birds, birds).
@@ -127,12 +142,14 @@ class LaggedMotion:
         The first column belongs to the common speed, the others to spacings.
         """
         tau, past = self.lag, np.exp(-root * self.lag)
-        all_pull, all_push = self.pull.sum(axis=1), self.push.sum(axis=1)
+        all_pull, all_surge = self.pull.sum(axis=1), self.surge.sum(axis=1)
+        answer = self.push.sum(axis=1) + root * all_surge
         moved, moved_slope = _moved_meanwhile(root, tau)
-        common = root + self.damping - past * all_push + all_pull * moved
-        common_slope = 1.0 + tau * past * all_push + all_pull * moved_slope
+        common = root + self.damping - past * answer + all_pull * moved
+        common_slope = 1.0 + past * (tau * answer - all_surge) + all_pull * moved_slope
         own_slope = np.diag(2.0 * root + self.damping)
-        slope = own_slope + past * (tau * self.pull + (tau * root - 1.0) * self.push)
+        seen = self.pull + root * (self.push + root * self.surge)
+        slope = own_slope + past * (tau * seen - self.push - 2.0 * root * self.surge)
         behind = _by_gaps(len(self.damping))
         return (
             np.column_stack([common, self.characteristic(root) @ behind]),
@@ -152,7 +169,7 @@ class LaggedMotion:
         behind = _by_gaps(birds)
         by_spacing = (self.pull - np.diag(self.pull.sum(axis=1))) @ behind
         if self.lag == 0.0:
-            by_speed = self.push - np.diag(self.damping)
+            by_speed = self.push - np.diag(self.damping)  # no surge without a lag
             rows = np.zeros((gaps + birds, gaps + birds))
             rows[:gaps, gaps:] = np.diff(np.eye(birds), axis=0)
             rows[gaps:] = np.column_stack([by_spacing, by_speed])
@@ -166,6 +183,7 @@ class LaggedMotion:
         now[:, gaps:] = np.kron(-weights, self.pull)
         now[:, gaps : gaps + birds] -= np.diag(self.damping)
         now[:, size - birds :] += self.push
+        now[:, gaps:] += np.kron(derivative[-1], self.surge)
         rows[gaps + birds :, gaps:] = np.kron(derivative[1:], np.eye(birds))
         return rows
 
