@@ -20,7 +20,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flock import Flock
 from flock_sim.core.formation import TIP_SPACING, VORTEX_FRACTION
 from flock_sim.core.limits import End, Limits, exact_limits, modified_birds
-from flock_tools import figures
+from flock_tools import figure_files
 from flock_tools.figure_contributions import CONFIGURATION, contributions, draw_contributions
 from flock_tools.figure_limits import draw_limits, limits_table
 from flock_tools.figure_modified import CASES, draw_modified, modified_flocks, modified_table
@@ -201,7 +201,7 @@ def test_limits_are_written_with_their_gaps() -> None:
 def test_files_are_there_and_the_same_when_drawn_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(figures, "RESOLUTION", 50)
+    monkeypatch.setattr(figure_files, "RESOLUTION", 50)
     before = dict(mpl.rcParams)
     contents = []
     for name in ("one", "a/second"):
