@@ -36,6 +36,7 @@ TOOLS = {
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",
     "survey": "flock_tools.survey",
+    "study": "flock_tools.study",
 }
 
 DEADLINE = 120.0

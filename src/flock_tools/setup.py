@@ -23,6 +23,7 @@ setup(
             "equilibrium=flock_tools.equilibrium:main",
             "limits=flock_tools.limits:main",
             "survey=flock_tools.survey:main",
+            "study=flock_tools.study:main",
         ],
     },
 )

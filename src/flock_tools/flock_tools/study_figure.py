@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figure of the study of coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flock_sim.core.lagged_motion import HOLD, LINEAR
+from flock_tools.study_flights import BIRDS, LAGS, MODIFIED, SPAN_RATIOS, Held, Lagged, late_limits
+from flock_tools.style import BLUE, FAINT, GREEN, PAGE, PRINT_STYLE, SMALL, VERMILLION
+
+COLOURS = {HOLD: VERMILLION, LINEAR: BLUE}
+MARKERS = {HOLD: "s", LINEAR: "o"}
+LINES = {HOLD: "-", LINEAR: "--"}
+
+LAG = "age of what birds know (b/$U_{min}$)"
+
+
+def draw_study(lagged: Sequence[Lagged], limits: Sequence[Held], critical: float) -> Figure:
+    """Return the figure; `critical` is the lag at which `linear` loses stability, in b / U_min."""
+    with mpl.rc_context(PRINT_STYLE):
+        figure = Figure(figsize=(PAGE, 4.6), layout="constrained")
+        top, bottom = figure.subplots(2, 3)
+        _steady(top[0], lagged, "speed", "speed $U^*$ ($U_{min}$)")
+        _steady(top[1], lagged, "gap", "gap from tail to leader (b)")
+        _settling(top[2], lagged)
+        for axes in top:
+            axes.axvline(critical, color=FAINT, linewidth=0.8, linestyle=":", zorder=0)
+            axes.set_xlabel(LAG)
+        top[0].set_title("(a) three geese")
+        top[1].set_title("(b) three geese")
+        top[2].set_title("(c) three geese")
+        _held_late(bottom[0], [found for found in limits if found.model == HOLD])
+        moved = [found for found in limits if found.model == LINEAR]
+        _moved_late(bottom[1], moved)
+        _moved_lossy(bottom[2], [found for found in moved if found.key == "drop"])
+        bottom[0].set_title(f"(d) {BIRDS} geese, hold")
+        bottom[1].set_title(f"(e) {BIRDS} geese, linear")
+        bottom[2].set_title(f"(f) {BIRDS} geese, linear")
+        for axes in bottom:
+            axes.set_ylabel(f"span ratio $\\lambda_{MODIFIED}$ that stays")
+        for axes in (*top, *bottom):
+            axes.grid(visible=True)
+            axes.legend(loc="best", fontsize=SMALL)
+    return figure
+
+
+def _steady(axes: Axes, lagged: Sequence[Lagged], what: str, label: str) -> None:
+    """Draw a number of the steady state against lag: flown, and as theory has it."""
+    for model, colour in COLOURS.items():
+        flights = [flight for flight in lagged if flight.model == model]
+        lag = [flight.lag for flight in flights]
+        theory = [getattr(flight, f"theory_{what}") for flight in flights]
+        axes.plot(lag, theory, LINES[model], color=colour, label=f"{model}, theory")
+        axes.errorbar(
+            lag,
+            [getattr(flight, what) for flight in flights],
+            yerr=[0.5 * flight.swing for flight in flights] if what == "gap" else None,
+            fmt=MARKERS[model],
+            color=colour,
+            markerfacecolor="white",
+            elinewidth=0.8,
+            label=f"{model}, flown",
+        )
+    axes.set_ylabel(label)
+
+
+def _settling(axes: Axes, lagged: Sequence[Lagged]) -> None:
+    for model, colour in COLOURS.items():
+        flights = [f for f in lagged if f.model == model and np.isfinite(f.settled)]
+        axes.plot(
+            [flight.lag for flight in flights],
+            [flight.settled for flight in flights],
+            MARKERS[model],
+            color=colour,
+            markerfacecolor="white",
+            label=model,
+        )
+    axes.set(ylabel="time to settle (b/$U_{min}$)", yscale="log")
+
+
+def _held_late(axes: Axes, limits: Sequence[Held]) -> None:
+    ends = np.array([late_limits(float(lag)) for lag in LAGS]).T
+    axes.fill_between(LAGS, *ends, color=VERMILLION, alpha=0.15, linewidth=0)
+    axes.plot(LAGS, ends[0], color=VERMILLION, label="theory")
+    axes.plot(LAGS, ends[1], color=VERMILLION)
+    _ends(axes, [f for f in limits if f.key == "interval"], "s", VERMILLION, "interval")
+    _ends(axes, [f for f in limits if f.key == "drop"], "D", GREEN, "loss")
+    axes.set(xlabel=LAG, xscale="log")
+    axes.xaxis.set_major_formatter("{x:g}")
+
+
+def _moved_late(axes: Axes, limits: Sequence[Held]) -> None:
+    for key, marker, colour in (("delay", "o", BLUE), ("interval", "^", GREEN)):
+        _ends(axes, [f for f in limits if f.key == key], marker, colour, key)
+    axes.set(xlabel=LAG, ylim=(SPAN_RATIOS[LINEAR][0], SPAN_RATIOS[LINEAR][-1]))
+
+
+def _moved_lossy(axes: Axes, limits: Sequence[Held]) -> None:
+    arrives = [1.0 - found.value for found in limits]
+    for end in (min, max):
+        axes.plot(
+            arrives,
+            [end(found.kept) if found.kept else np.nan for found in limits],
+            "D-",
+            color=GREEN,
+            markerfacecolor="white",
+            label="loss" if end is min else None,
+        )
+    axes.set(
+        xlabel="part of the messages that arrive",
+        xscale="log",
+        ylim=(SPAN_RATIOS[LINEAR][0], SPAN_RATIOS[LINEAR][-1]),
+    )
+    axes.invert_xaxis()
+    axes.xaxis.set_major_formatter("{x:g}")
+
+
+def _ends(axes: Axes, limits: Sequence[Held], marker: str, colour: str, label: str) -> None:
+    """Draw both ends of intervals against the age of what birds know."""
+    kept = [found for found in limits if found.kept]
+    for end in (min, max):
+        axes.plot(
+            [found.age for found in kept],
+            [end(found.kept) for found in kept],
+            marker,
+            color=colour,
+            markerfacecolor="white",
+            label=label if end is min else None,
+        )
