@@ -66,7 +66,7 @@ def test_kernel_messages_and_waiting_are_all_of_the_time(monkeypatch: pytest.Mon
     assert not watched.drain()
     bird.moves = True
     assert look()
-    # Stages: 2 s each. Messages: 0.25 s after each, 0.5 s before the second. Waiting: 10 + 1 + 0.5 s,
+    # Stages: 2 s each. Messages: 0.25 s after each, 0.5 s before the second. Waiting: 11.5 s,
     # less the 0.25 s after the last stage, with which the flight ends.
     assert watch.times == Times(4.0, 1.0, 11.25)
 

@@ -80,7 +80,7 @@ modified bird, all of them members of one flight; an end lies half way between t
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
 integrate and fly; --perturb and --link have no say.
 An end that is not inside the searched interval is told so, and null in JSON.
-Exit status: 0, whatever the answer is; 2 bad input."""
+Exit status: 0, whatever the answer is; 1 a flight that failed; 2 bad input."""
 
 EXAMPLES = """\
   ./flock limits --birds 13 --output limits.png
