@@ -135,7 +135,7 @@ def say(
     def started(*arguments: object) -> None:
         raise AssertionError("a flight was started")
 
-    monkeypatch.setattr(fly, "_fly", started)
+    monkeypatch.setattr(fly, "fly", started)
     monkeypatch.setattr(reference, "_integrate", started)
 
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -148,11 +148,47 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "--bird : must be" in error_of(tool, capsys, "--bird", "1,,2")
     assert "in --bird 1,,2" in error_of(tool, capsys, "--bird", "1,,2")
     assert "--resolution 0" in error_of(tool, capsys, "--method", "integrate", "--resolution", "0")
+    assert "--points 1: must be" in error_of(tool, capsys, "--method", "integrate", "--points", "1")
+    assert "and fly: leave it out" in error_of(tool, capsys, "--points", "5")
     nothing = tmp_path / "limits.txt"
     assert "must end in one of" in error_of(tool, capsys, "--birds", "3", "--output", str(nothing))
     assert not nothing.exists()
     missing = tmp_path / "missing" / "limits.png"
     assert "can't be written" in error_of(tool, capsys, "--birds", "3", "--output", str(missing))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--processes 0", "--processes 0: must be a whole number, 1..5"),
+        ("--processes 6", "--processes 6: must be a whole number, 1..5"),
+        ("--timeout 0", "--timeout 0: must be a finite number above 0"),
+        ("--t-max -5", "t_max = -5: must be finite and above 0"),
+        ("--points x", "--points x: must be a whole number, 2..1001"),
+        ("--resolution 0.1", "--resolution is for --method integrate"),
+        ("--scheduler tcp://127.0.0.1:9", "--scheduler is for --method integrate"),
+        ("--bag .", "--bag . exists"),
+        ("--method flies", "did you mean 'fly'"),
+    ],
+)
+def test_what_can_not_be_flown_is_one_line(
+    arguments: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = ("--method", "fly", "--birds", "5")
+    assert words in error_of(tool, capsys, *flight, *arguments.split())
+    if arguments.startswith("--processes"):
+        integrate = ("--method", "integrate", *arguments.split())
+        assert "--processes is for --method fly" in error_of(tool, capsys, *integrate)
+
+
+def test_a_finer_grid_is_where_integrating_begins(capsys: pytest.CaptureFixture[str]) -> None:
+    flock = ("--birds", "2", "--bird", "1", "--method", "integrate", "--t-max", "1e4")
+    found = json_of(tool, capsys, *flock, "--points", "6", "--resolution", "0.5")["limits"][0]
+    ratios = [tried["span_ratio"] for tried in found["tried"]]
+    assert ratios == pytest.approx([0.5, 0.7, 0.9, 1.0, 1.1, 1.3, 1.5])
+    held = [tried["span_ratio"] for tried in found["tried"] if tried["holds"]]
+    assert min(held) > found["lower"] > max(r for r in ratios if r < min(held))
+    assert max(held) < found["upper"] < min(r for r in ratios if r > max(held))
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,8 @@ import argparse
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -36,9 +37,16 @@ from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.resume import Resumable, resumable
 from flock_sim.shares import shares
 from flock_sim.standard_output import results_only_on_stdout
+from flock_sim.times import Times
 
 PATIENCE_OF_CREW = 30.0
 """How much longer, in s, than the clock the others wait: it is the clock that ends a flight."""
+
+WINDOW = 64
+"""Steps that birds are granted ahead."""
+
+TIMEOUT = "60"
+"""Longest standstill, in s."""
 
 JOIN_LIMIT = 60.0
 """How long, in s, the others may take to end after the flight has."""
@@ -58,14 +66,21 @@ class Plan:
     configuration: FlockConfiguration
     output: Path | None
     processes: int
-    window: int
-    executor: str
     timeout: float
-    record_stages: bool
-    respawn: bool
-    resume: bool
     begun: float
     """Monotonic time, in s, at which it was asked for."""
+    window: int = WINDOW
+    executor: str = EXECUTORS[0]
+    record_stages: bool = False
+    respawn: bool = True
+    resume: bool = False
+    stopwatch: Path | None = None
+    """Directory in which the processes of birds tell where their time went; None: they don't."""
+
+    def times(self) -> Times:
+        """Return where the time of all processes of birds went; they were told to tell."""
+        assert self.stopwatch is not None
+        return Times.sum(map(Times.read, sorted(self.stopwatch.iterdir())))
 
 
 def tool(arguments: Sequence[str]) -> int:
@@ -80,13 +95,10 @@ def tool(arguments: Sequence[str]) -> int:
         flight = {**how, **counts, "output": str(options.resume)}
         report(flight, plan.configuration, options.json)
         return 0
-    prepare_discovery(options.network)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _terminated)
-    with own_domain(), results_only_on_stdout():
+    with on_ros(options.network):
         if plan.output is not None:
             _prepare(plan.output, plan, options.force)
-        flown = _fly(plan)
+        flown = fly(plan)
     flight = {
         **flown,
         "wall_seconds": time.monotonic() - plan.begun,
@@ -111,7 +123,10 @@ def _parser() -> Parser:
     how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
     how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
     how.add_argument(
-        "--window", metavar="W", default="64", help="steps granted ahead; 1 is strict lockstep (64)"
+        "--window",
+        metavar="W",
+        default=str(WINDOW),
+        help=f"steps granted ahead; 1 is strict lockstep ({WINDOW})",
     )
     how.add_argument(
         "--executor", metavar="|".join(EXECUTORS), default=EXECUTORS[0], help="of rclpy (events)"
@@ -119,8 +134,8 @@ def _parser() -> Parser:
     how.add_argument(
         "--timeout",
         metavar="S",
-        default="60",
-        help="longest standstill before giving up, in s (60)",
+        default=TIMEOUT,
+        help=f"longest standstill before giving up, in s ({TIMEOUT})",
     )
     how.add_argument(
         "--no-respawn", action="store_true", help="end the flight when a process of it is killed"
@@ -144,13 +159,13 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
         configuration,
         output,
         whole_number("--processes", options.processes, 1, configuration.birds),
+        positive_number("--timeout", options.timeout),
+        time.monotonic(),
         whole_number("--window", options.window, 1),
         options.executor,
-        positive_number("--timeout", options.timeout),
         stages,
         not options.no_respawn,
         resumed is not None,
-        time.monotonic(),
     )
 
 
@@ -159,13 +174,31 @@ def _prepare(output: Path, plan: Plan, force: bool) -> None:
     if plan.resume:
         note(f"going on with {output}")
         return
-    claim_output(output, force)
-    lay_down(output, plan.configuration, grants=True, stages=plan.record_stages)
+    begin_bag(output, plan, force)
     note(f"recording to {output}")
 
 
-def _fly(plan: Plan) -> dict[str, Any]:
-    """Fly `plan` to its end; return how that went: its rate, and what recovering has cost."""
+def begin_bag(output: Path, plan: Plan, force: bool = False) -> None:
+    """Make `output` the beginning of the bag of `plan`. Raises FlockError as `claim_output`."""
+    claim_output(output, force)
+    lay_down(output, plan.configuration, grants=True, stages=plan.record_stages)
+
+
+@contextmanager
+def on_ros(network: bool = False) -> Iterator[None]:
+    """Be ready to fly in the block: on a ROS domain, and ending in order whoever ends us."""
+    prepare_discovery(network)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _terminated)
+    with own_domain(), results_only_on_stdout():
+        yield
+
+
+def fly(plan: Plan) -> dict[str, Any]:
+    """Fly `plan` to its end; return how that went: its rate, and what recovering has cost.
+
+    The bag was begun where there is one, and `on_ros` is around it.
+    """
     configuration = plan.configuration
     run_id = new_run_id()
     common = {
@@ -183,7 +216,12 @@ def _fly(plan: Plan) -> dict[str, Any]:
             }
             crew.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
         for birds in shares(configuration.birds, plan.processes):
-            crew.start(_birds(birds), "flock_sim.nodes.bird", {**common, "indices": birds})
+            own: dict[str, object] = {**common, "indices": birds}
+            if plan.stopwatch is not None:
+                own["stopwatch"] = str(
+                    plan.stopwatch.absolute() / f"birds_from_{birds[0]:02d}.json"
+                )
+            crew.start(_birds(birds), "flock_sim.nodes.bird", own)
         return _keep_time(plan, run_id, crew)
 
 

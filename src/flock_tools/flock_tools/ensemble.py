@@ -40,19 +40,35 @@ def opened_gaps(
     flight ends and the result means nothing.
     """
     steps, members = configuration.steps, span_ratio.shape[1]
-    undisturbed = replace(
-        configuration, record_every=steps, span_ratios=(), perturbations=(), links=()
-    )
-    flight = Monolith(undisturbed, span_ratio)
+    flight = Monolith(undisturbed(configuration), span_ratio)
     most = max(1, AT_ONCE // (max(1, len(flight.flock.pairs)) * members))
     while flight.step < steps and not (halt and halt.is_set()):
         count = min(most, steps - flight.step)
         flight.advance(count)
         if on_progress:
             on_progress(count * members)
+    return gaps_at_end(flight.speed)
+
+
+def undisturbed(configuration: FlockConfiguration) -> FlockConfiguration:
+    """Return the protocol of the paper for a flock: equal birds, no pushes, exact links.
+
+    Of its states, those at the start and at the end are recorded.
+    """
+    return replace(
+        configuration,
+        record_every=configuration.steps,
+        span_ratios=(),
+        perturbations=(),
+        links=(),
+    )
+
+
+def gaps_at_end(speed: FloatArray) -> IntArray:
+    """Return the verdicts of `opened_gaps` from the speeds at t_max, shape (birds, members)."""
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.abs(np.diff(flight.speed, axis=0))
-        holds = flight.speed.std(axis=0) < STABLE_BELOW
+        apart = np.abs(np.diff(speed, axis=0))
+        holds = speed.std(axis=0) < STABLE_BELOW
     most_apart = apart.max(axis=0, initial=0.0)
     first = np.argmax(apart >= most_apart - ALIKE, axis=0) + 1 if len(apart) else NO_GAP
     return np.where(holds, 0, np.where(np.isfinite(most_apart), first, NO_GAP))

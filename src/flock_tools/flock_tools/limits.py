@@ -16,29 +16,52 @@ from flock_sim.command_line import (
     add_flock_options,
     flock_configuration,
     numbers,
+    positive_number,
     print_json,
     run_tool,
+    whole_number,
     whole_numbers,
 )
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
-from flock_sim.core.limits import End, Limits, exact_limits, modified_birds, search
-from flock_sim.core.metrics import STABLE_BELOW
+from flock_sim.core.limits import Limits, exact_limits, modified_birds, search
 from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
+from flock_sim.fly import TIMEOUT
 from flock_sim.progress import counter
 from flock_sim.warm import warm, warm_steady_states
 from flock_tools.ensemble import Ensembles
+from flock_tools.flown_limits import HowFlown, flown_limits
+from flock_tools.limits_report import as_json, described
 from flock_tools.picture_file import check_picture, write_picture
 from flock_tools.workers import workers
 
-METHODS = ("exact", "integrate")
+METHODS = ("exact", "integrate", "fly")
+
+OF_METHODS = {
+    "points": ("integrate", "fly"),
+    "resolution": ("integrate",),
+    "scheduler": ("integrate",),
+    "processes": ("fly",),
+    "timeout": ("fly",),
+    "bag": ("fly",),
+}
+"""Options that not all methods have, and who has them."""
 
 BETWEEN = "0.5,1.5"
 """The paper's range of span ratios."""
 
 RESOLUTION = "1e-3"
+
+ENDS = "2"
+GRID = "41"
+"""Span ratios tried before intervals are halved, and where they are not."""
+
+MOST_POINTS = 1001
+"""Members of a bird: a message has all of them."""
+
+PROCESSES = "2"
 
 LEAST_RESOLUTION = 1e-12
 """Halving a span ratio's interval further would end in its rounding."""
@@ -52,16 +75,19 @@ in formation, and the gap that opens at each end.
 exact: by the existence of the steady state.
 integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
 the homogeneous flock; bisection to --resolution.
+fly: the same protocol flown over ROS 2 by the birds' nodes: a grid of --points span ratios for each
+modified bird, all of them members of one flight; an end lies half way between two of them.
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate; --perturb and --link have no say.
+integrate and fly; --perturb and --link have no say.
 An end that is not inside the searched interval is told so, and null in JSON.
-Exit status: 0, whatever the answer is; 2 bad input."""
+Exit status: 0, whatever the answer is; 1 a flight that failed; 2 bad input."""
 
 EXAMPLES = """\
   ./flock limits --birds 13 --output limits.png
   ./flock limits --coupling all --json | jq '.limits[0]'
   ./flock limits --method integrate --t-max 1e5 --resolution 1e-3
-  ./flock limits --method integrate --t-max 1e5 --scheduler tcp://127.0.0.1:8786"""
+  ./flock limits --method integrate --t-max 1e5 --scheduler tcp://127.0.0.1:8786
+  ./flock limits --method fly --t-max 1e5 --processes 2"""
 
 
 def tool(arguments: Sequence[str]) -> int:
@@ -89,20 +115,33 @@ def tool(arguments: Sequence[str]) -> int:
         metavar="ADDRESS",
         help="Dask scheduler whose cluster integrates (the cores of this machine)",
     )
+    limits.add_argument(
+        "--points",
+        metavar="N",
+        help=f"span ratios tried a bird, evenly spaced: all of fly ({GRID}), the first of "
+        f"integrate ({ENDS})",
+    )
+    limits.add_argument(
+        "--processes", metavar="P", help=f"processes for the birds of fly ({PROCESSES})"
+    )
+    limits.add_argument(
+        "--timeout", metavar="S", help=f"longest standstill of fly, in s ({TIMEOUT})"
+    )
+    limits.add_argument(
+        "--bag", metavar="DIR", type=Path, help="keep the bag of fly in this new directory"
+    )
     result = parser.add_argument_group("result")
     result.add_argument(
         "--output", metavar="FILE", type=Path, help="draw the diagram: png, svg, pdf"
     )
     result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
+    _check_method(options)
     configuration = _flock(options)
     birds = _birds(options, configuration)
     low, high = _between(options)
     check_picture(options.output)
     if options.method == "exact":
-        for name in ("resolution", "scheduler"):
-            if getattr(options, name) is not None:
-                raise FlockError(f"--{name} is for --method integrate: exact limits need none")
         warm_steady_states()
         begun = time.perf_counter()
         found = exact_limits(configuration, birds, low, high)
@@ -111,12 +150,19 @@ def tool(arguments: Sequence[str]) -> int:
     elif options.method == "integrate":
         found, how = _integrate(options, configuration, birds, low, high)
     else:
-        raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
+        found, how = flown_limits(
+            configuration,
+            birds,
+            low,
+            high,
+            _points(options, GRID),
+            _how_flown(options, configuration),
+        )
     facts = {
         "birds": configuration.birds,
         "coupling": configuration.coupling,
         "method": options.method,
-        "limits": [_as_json(limits) for limits in found],
+        "limits": [as_json(limits, options.method != "exact") for limits in found],
         "between": [low, high],
         **how,
     }
@@ -142,17 +188,26 @@ def _integrate(
 ) -> tuple[list[Limits], dict[str, Any]]:
     """Return the limits by the paper's protocol, and how they were found."""
     resolution = _resolution(RESOLUTION if options.resolution is None else options.resolution)
+    points = _points(options, ENDS)
     warm()  # loading compiled code is no part of the rate
     with workers(options.scheduler) as crew:
         # Bisection wherever that keeps all workers busy, else more parts a round.
         sections = max(2, 1 + crew.count * LANES // (2 * len(birds)))
-        rounds = math.ceil(math.log((high - low) / resolution) / math.log(sections))
-        trials = 1 + len(birds) * (3 + 2 * max(0, rounds) * (sections - 1))
+        width = (high - low) / (points - 1)
+        rounds = math.ceil(math.log(width / resolution) / math.log(sections))
+        trials = 1 + len(birds) * (points + 1 + 2 * max(0, rounds) * (sections - 1))
         with counter("integrating", "member-steps", trials * configuration.steps) as show:
             fleet = Ensembles(configuration, crew, show)
             begun = time.perf_counter()
             found = search(
-                configuration, birds, low, high, resolution, fleet.opened_gaps, sections=sections
+                configuration,
+                birds,
+                low,
+                high,
+                resolution,
+                fleet.opened_gaps,
+                points - 1,
+                sections,
             )
             as_given = not fleet.opened_gaps(configuration.span_ratio)[0]
             seconds = time.perf_counter() - begun
@@ -168,58 +223,33 @@ def _integrate(
     }
 
 
-def _as_json(limits: Limits) -> dict[str, Any]:
-    facts: dict[str, Any] = {"bird": limits.bird}
-    for side, end in (("lower", limits.lower), ("upper", limits.upper)):
-        facts[side] = end and end.ratio
-        facts[f"{side}_gap"] = end and end.gap
-        facts[f"{side}_parts"] = end and end.parts
-    return {**facts, "never": limits.never}
-
-
-def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
-    """Return the limits as people read them."""
-    low, high = facts["between"]
-    lines = [
-        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios of "
-        f"{low:g} to {high:g} that keep the formation",
-    ]
-    digits = 12 if facts["method"] == "exact" else 2 - round(math.log10(facts["resolution"]))
-    width = digits + 3
-    lines.append(f"  bird   {'lower':<{width}}  opens   {'upper':<{width}}  opens")
-    for limits in found:
-        if limits.never:
-            lines.append(
-                f"  {limits.bird:4}   none: no span ratio of this bird was found that does"
+def _check_method(options: argparse.Namespace) -> None:
+    """Refuse a method that there is not, and options that it has not."""
+    if options.method not in METHODS:
+        raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
+    for name, methods in OF_METHODS.items():
+        if getattr(options, name) is not None and options.method not in methods:
+            raise FlockError(
+                f"--{name} is for --method {' and '.join(methods)}: leave it out with "
+                f"{options.method}"
             )
-            continue
-        ends = [
-            f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
-            if end
-            else f"{f'{side} {edge:g}':<{width}}  {'':<5}"
-            for end, side, edge in ((limits.lower, "below", low), (limits.upper, "above", high))
-        ]
-        lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
-    if not facts["as_given"]:
-        lines.append(
-            "as given the flock can't fly in formation: intervals are those nearest to it"
-            if facts["method"] == "exact"
-            else f"as given the flock has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
-            "intervals are those nearest to it; a longer flight (--t-max) may settle"
-        )
-    if facts["method"] == "exact":
-        lines.append(f"computed in {facts['seconds']:.3f} s")
-    else:
-        lines.append(
-            f"flown to t = {facts['t_max']:g} in steps of {facts['dt']:g}: "
-            f"{facts['member_steps']:,} member-steps in {facts['seconds']:.1f} s, "
-            f"{facts['member_steps_per_second']:,.0f} a second, {facts['workers']} workers"
-        )
-    return "\n".join(line.rstrip() for line in lines)
 
 
-def _opens(end: End) -> str:
-    return f"gap {end.gap}" if end.gap else "none"
+def _points(options: argparse.Namespace, default: str) -> int:
+    text = default if options.points is None else options.points
+    return whole_number("--points", text, 2, MOST_POINTS)
+
+
+def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -> HowFlown:
+    processes = PROCESSES if options.processes is None else options.processes
+    timeout = TIMEOUT if options.timeout is None else options.timeout
+    if options.bag is not None and options.bag.exists():
+        raise FlockError(f"--bag {options.bag} exists: name a directory that does not")
+    return HowFlown(
+        whole_number("--processes", processes, 1, configuration.birds),
+        positive_number("--timeout", timeout),
+        options.bag,
+    )
 
 
 def _flock(options: argparse.Namespace) -> FlockConfiguration:

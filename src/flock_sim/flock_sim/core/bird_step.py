@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
 from flock_sim.core.kernel import FloatArray, kernel
 from flock_sim.core.runge_kutta import STAGES, stage_value
@@ -14,6 +16,11 @@ MASS, THRUST, PROFILE_DRAG, INDUCED_DRAG, CIRCULATION, HALF_SPAN = range(6)
 # Rows of a bird's working memory.
 DRAG, POSITION, SPEED, VELOCITY_SLOPES, SPEED_SLOPES = 0, 1, 2, 3, 3 + STAGES
 WORK_ROWS = SPEED_SLOPES + STAGES
+
+StageKernel = Callable[
+    [int, float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None
+]
+"""What `feel_and_move` is, and whatever does the same by calling it."""
 
 
 @kernel

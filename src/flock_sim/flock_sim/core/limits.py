@@ -59,6 +59,8 @@ class Limits:
     lower: End | None
     upper: End | None
     never: bool = False
+    tried: tuple[tuple[float, int], ...] = ()
+    """Each lambda that was tried, ascending, and what its trial gave."""
 
 
 def modified_birds(configuration: FlockConfiguration) -> list[int]:
@@ -148,10 +150,12 @@ def search(
         tried.append(np.unique(np.append(marks, within)))
     counts = [len(ratios) for ratios in tried]
     gaps = trial(_modified(configuration, np.repeat(birds, counts), np.concatenate(tried)))
+    verdicts: dict[int, dict[float, int]] = {bird: {} for bird in birds}
 
     never = set()
     brackets: dict[tuple[int, str], _Bracket] = {}
     for bird, ratios, opened in zip(birds, tried, np.split(gaps, np.cumsum(counts)[:-1])):
+        verdicts[bird].update(zip(ratios.tolist(), opened.tolist()))
         kept = np.flatnonzero(opened == 0)
         if not len(kept):
             never.add(bird)
@@ -165,10 +169,16 @@ def search(
                 brackets[bird, side] = _Bracket(
                     bird, ratios[outside - step], ratios[outside], int(opened[outside])
                 )
-    _narrow(configuration, list(brackets.values()), resolution, trial, sections)
+    _narrow(configuration, list(brackets.values()), resolution, trial, sections, verdicts)
     ends = {key: bracket.end() for key, bracket in brackets.items()}
     return [
-        Limits(bird, ends.get((bird, "lower")), ends.get((bird, "upper")), bird in never)
+        Limits(
+            bird,
+            ends.get((bird, "lower")),
+            ends.get((bird, "upper")),
+            bird in never,
+            tuple(sorted(verdicts[bird].items())),
+        )
         for bird in birds
     ]
 
@@ -179,8 +189,12 @@ def _narrow(
     resolution: float,
     trial: Trial,
     sections: int,
+    verdicts: dict[int, dict[float, int]],
 ) -> None:
-    """Narrow all brackets down to `resolution`, or to where numbers are further apart than that."""
+    """Narrow all brackets down to `resolution`, or to where numbers are further apart than that.
+
+    Adds to `verdicts`, by bird and ratio, what the trials gave.
+    """
     while wide := [b for b in brackets if b.width > max(resolution, 4.0 * np.spacing(b.outside))]:
         ratios = np.array(
             [np.linspace(b.inside, b.outside, sections + 1)[1:-1] for b in wide]
@@ -188,6 +202,7 @@ def _narrow(
         birds = np.repeat([bracket.bird for bracket in wide], ratios.shape[1])
         gaps = trial(_modified(configuration, birds, ratios.ravel())).reshape(ratios.shape)
         for bracket, between, opened in zip(wide, ratios, gaps):
+            verdicts[bracket.bird].update(zip(between.tolist(), opened.tolist()))
             for ratio, gap in zip(between, opened):
                 if gap:
                     bracket.outside, bracket.gap = float(ratio), int(gap)

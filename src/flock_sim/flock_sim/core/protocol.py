@@ -20,7 +20,15 @@ from enum import Enum
 import numpy as np
 
 from flock_sim.core import formation
-from flock_sim.core.bird_step import DRAG, POSITION, SPEED, WORK_ROWS, begin, feel_and_move
+from flock_sim.core.bird_step import (
+    DRAG,
+    POSITION,
+    SPEED,
+    WORK_ROWS,
+    StageKernel,
+    begin,
+    feel_and_move,
+)
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.links.receiver import Receiver
@@ -81,11 +89,17 @@ class BirdProtocol:
     """
 
     def __init__(
-        self, bird: int, configuration: FlockConfiguration, run_id: int = 0, life: int = 0
+        self,
+        bird: int,
+        configuration: FlockConfiguration,
+        run_id: int = 0,
+        life: int = 0,
+        stage_kernel: StageKernel = feel_and_move,
     ) -> None:
         """Place bird 1..N at its start. `run_id` 0: that of the first grant heard.
 
         `life` tells this bird from those who were it before, if its process is not the first.
+        `stage_kernel` does as `feel_and_move`, by calling it: a stopwatch may be around it.
         """
         # CPython reads attributes slower where an object has more than 30 of them: a bird would
         # take a twentieth longer for a step.
@@ -117,7 +131,6 @@ class BirdProtocol:
         self._members = members
         ratio = configuration.span_ratio[bird - 1]
         scales = Scales.of(configuration)
-        self._cruise_speed = scales.cruise_speed
         self._dt = configuration.dt
         self._own = np.vstack(
             [BirdCoefficients.of(scales, ratio).rows(), formation.VORTEX_FRACTION * ratio]
@@ -129,6 +142,7 @@ class BirdProtocol:
         self._mine = np.zeros((2, stage_words(members)))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
         self._work = np.zeros((WORK_ROWS, members))
+        self._feel_and_move = stage_kernel
 
     @property
     def step(self) -> int:
@@ -326,7 +340,7 @@ class BirdProtocol:
             )
         else:
             self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
-            self._work[SPEED] = self._cruise_speed
+            self._work[SPEED] = Scales.of(self._configuration).cruise_speed
             self._push(0)
         begin(self._own, self._mine, self._work)
         if self._receiver:
@@ -382,7 +396,7 @@ class BirdProtocol:
                     heard = receiver.listen(
                         self._tick, self._around.geometry, heard[inbox.side], self._mine
                     )
-                feel_and_move(
+                self._feel_and_move(
                     self._tick,
                     self._dt,
                     self._own,

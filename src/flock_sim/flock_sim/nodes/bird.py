@@ -7,6 +7,7 @@ import gc
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -14,6 +15,7 @@ from rclpy.publisher import Publisher
 
 from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Progress
 from flock_sim.core import messages, topics
+from flock_sim.core.bird_step import StageKernel, feel_and_move
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
@@ -25,6 +27,7 @@ from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.process import Process, executing, new_life, run_node
+from flock_sim.nodes.stopwatch import Stopwatch
 
 REPORTS = latched(1000)
 """How reports to the clock are sent: those of all birds of a process by one publisher."""
@@ -47,10 +50,12 @@ class BirdNode(DrainedNode):
         context: Context | None = None,
         services: bool = False,
         first: BirdNode | None = None,
+        stage_kernel: StageKernel = feel_and_move,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
 
         `first` is that of its process, if there are others: they report and complain together.
+        `stage_kernel` is for the protocol.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -59,7 +64,7 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = BirdProtocol(bird, configuration, run_id, new_life())
+        self.protocol = BirdProtocol(bird, configuration, run_id, new_life(), stage_kernel)
         outlets = {
             Channel.WING: (BirdWing, topics.wing_topic(bird)),
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
@@ -183,6 +188,7 @@ def work(process: Process) -> None:
             raise FlockError(
                 f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
             )
+    watch = Stopwatch() if operation["stopwatch"] else None
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
         birds: list[BirdNode] = []
@@ -195,6 +201,7 @@ def work(process: Process) -> None:
                     context=process.context,
                     services=alone,
                     first=birds[0] if birds else None,
+                    stage_kernel=watch.around(feel_and_move) if watch else feel_and_move,
                 )
             )
         if alone:
@@ -209,7 +216,12 @@ def work(process: Process) -> None:
             return announcements.drain()
 
         gc.freeze()  # what is here stays: no need to look through it again and again
-        keep_flying(birds, executor, process.stop, process.patience(), look_around)
+        if watch:
+            fliers, look = watch.watching(birds, look_around)
+            keep_flying(fliers, executor, process.stop, process.patience(), look)
+            watch.times.write(Path(operation["stopwatch"]))
+        else:
+            keep_flying(birds, executor, process.stop, process.patience(), look_around)
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
 
 

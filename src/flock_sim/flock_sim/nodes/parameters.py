@@ -27,6 +27,7 @@ OPERATION_MEANING = {
     "resume": "whether a bag that is there is gone on with",
     "executor": "which executor of rclpy serves the node",
     "timeout": "how long to wait without news, in s",
+    "stopwatch": "file that a process of birds writes where its time went to; empty: none",
 }
 """What a node process can be told of how it operates."""
 

@@ -47,6 +47,7 @@ OPERATION: dict[str, Any] = {
     "resume": False,
     "executor": "events",
     "timeout": 600.0,
+    "stopwatch": "",
 }
 
 # What every ROS 2 node may be given, and Flock has no use for.
