@@ -38,7 +38,7 @@ def register(model: LinkModel) -> None:
     """
     called = f"link model {model.name!r}"
     if not NAME.fullmatch(model.name):
-        raise FlockError(f"{called}: must be of a-z, 0-9 and _, and begin with a letter, such as fading")
+        raise FlockError(f"{called}: must be a letter and then a-z, 0-9 or _, such as fading")
     if model.name in [other.name for other in MODELS]:
         raise FlockError(f"{called} is there already: give the new one another name")
     MODELS.append(replace(model, know=_compiled(called, model.know)))
