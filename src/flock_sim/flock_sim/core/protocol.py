@@ -46,6 +46,7 @@ from flock_sim.core.stage_message import (
     stage_numbers,
     stage_words,
 )
+from flock_sim.core.steering import Control, Steering
 from flock_sim.core.terms import agree
 from flock_sim.core.topics import bird_name
 from flock_sim.errors import FlockError
@@ -81,11 +82,17 @@ class BirdProtocol:
     """
 
     def __init__(
-        self, bird: int, configuration: FlockConfiguration, run_id: int = 0, life: int = 0
+        self,
+        bird: int,
+        configuration: FlockConfiguration,
+        run_id: int = 0,
+        life: int = 0,
+        control: Control | None = None,
     ) -> None:
         """Place bird 1..N at its start. `run_id` 0: that of the first grant heard.
 
-        `life` tells this bird from those who were it before, if its process is not the first.
+        `life` tells this bird from those who were it before, if its process is not the first;
+        `control` gives a force besides those that all birds feel.
         """
         # CPython reads attributes slower where an object has more than 30 of them: a bird would
         # take a twentieth longer for a step.
@@ -117,13 +124,17 @@ class BirdProtocol:
         self._members = members
         ratio = configuration.span_ratio[bird - 1]
         scales = Scales.of(configuration)
-        self._cruise_speed = scales.cruise_speed
         self._dt = configuration.dt
         self._own = np.vstack(
             [BirdCoefficients.of(scales, ratio).rows(), formation.VORTEX_FRACTION * ratio]
         )
         self._around = Neighbourhood(bird, configuration)
         linkage = configuration.linkage
+        self._steering = (
+            Steering(bird, control, self._own, self._around.birds, configuration)
+            if control
+            else None
+        )
         self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
         self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
@@ -326,7 +337,7 @@ class BirdProtocol:
             )
         else:
             self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
-            self._work[SPEED] = self._cruise_speed
+            self._work[SPEED] = Scales.of(self._configuration).cruise_speed
             self._push(0)
         begin(self._own, self._mine, self._work)
         if self._receiver:
@@ -373,7 +384,7 @@ class BirdProtocol:
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""
         out: list[Outgoing] = []
-        inbox, receiver = self._inbox, self._receiver
+        inbox, receiver, steering = self._inbox, self._receiver, self._steering
         while not inbox.lacking:
             step, stage = divmod(self._tick, STAGES)
             if not self._held:
@@ -382,6 +393,8 @@ class BirdProtocol:
                     heard = receiver.listen(
                         self._tick, self._around.geometry, heard[inbox.side], self._mine
                     )
+                if steering is not None:
+                    steering.steer(self._tick, heard, self._mine)
                 feel_and_move(
                     self._tick,
                     self._dt,
