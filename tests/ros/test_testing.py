@@ -156,7 +156,7 @@ def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit()
         ({"birdz": 3}, "unknown parameter 'birdz'"),
         ({"birds": 0}, "birds = 0: must be 1 or more"),
         ({"links": ["hald"]}, "unknown model 'hald'"),
-        ({"timeout": 0.0}, "timeout = 0.0: must be above 0"),
+        ({"timeout": 0.0}, "timeout 0.0: must be a finite number above 0"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(bad, words):

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 
 from flock_sim.bag.output import claim_output
-from flock_sim.command_line import note
+from flock_sim.command_line import note, positive_number
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
@@ -28,7 +28,7 @@ from flock_sim.discovery import (
     prepare_discovery,
     quiet_domains,
 )
-from flock_sim.errors import FlockError, RunFailed
+from flock_sim.errors import RunFailed
 from flock_sim.nodes import EXECUTORS
 from flock_sim.nodes.bird import BirdNode, fly_together, hatch
 from flock_sim.nodes.clock import ClockNode, first_epoch, keep_time
@@ -78,8 +78,7 @@ def fly_in_process(
     # Of the package that depends on this one, and so not known to it before somebody asks.
     from flock_tools.dataset import load
 
-    if not timeout > 0.0:
-        raise FlockError(f"timeout = {timeout}: must be above 0, in s")
+    positive_number("timeout", str(timeout))
     known = {} if configuration is None else configuration.parameters()
     flown = FlockConfiguration.from_parameters({**known, **parameters})
     topics.steps_ahead(flown, False)  # refuses what can't be recorded
