@@ -7,7 +7,6 @@ whoever its parent is by now. All that tools could write by themselves goes belo
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import signal
@@ -21,6 +20,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from flock_sim.discovery import quiet_domains
 
 TOOLS = {
     "fly": "flock_sim.fly",
@@ -111,7 +112,7 @@ class Job:
 
     def until_connected(self) -> Job:
         """Wait until the tool is on the DDS network."""
-        self.until(lambda: _segments(self.process.pid))
+        self.until(lambda: segments(self.process.pid))
         return self
 
     def until_said(self, words: str, within: float = DEADLINE) -> Job:
@@ -225,7 +226,7 @@ class Terminal:
         if time.monotonic() - self._looked < 0.2:
             return
         for pid in self.processes():
-            self._segments |= _segments(pid)
+            self._segments |= segments(pid)
         self._looked = time.monotonic()
 
     def left_behind(self) -> list[str]:
@@ -270,21 +271,13 @@ def open_terminal(directory: Path) -> Iterator[Terminal]:
             terminal.clear()
 
 
-_turns = itertools.count()
-
-
 @contextmanager
 def own_domain() -> Iterator[int]:
     """Give a ROS_DOMAIN_ID that no other test has, in this run of pytest or another.
 
     Claimed by a name in the abstract socket namespace: the kernel gives it back whatever happens.
-    Domains that anybody else talks on are passed over: each has 250 UDP ports from 7400 on. One
-    that was given back is not given again soon: whoever was on it, this process for one, may still
-    have shared memory of it mapped, and removes that by its name when it lets go.
     """
-    busy = {(port - 7400) // 250 for port in _udp_ports()}
-    turn = os.getpid() + next(_turns)
-    for domain in sorted(set(range(1, 101)) - busy, key=lambda d: (d - turn) % 101):
+    for domain in quiet_domains():
         claim = socket.socket(socket.AF_UNIX)
         try:
             claim.bind(f"\0flock-test-domain-{domain}")
@@ -297,12 +290,7 @@ def own_domain() -> Iterator[int]:
     raise AssertionError("every ROS_DOMAIN_ID from 1 to 100 is in use")
 
 
-def _udp_ports() -> list[int]:
-    lines = Path("/proc/net/udp").read_text(encoding="ascii").splitlines()[1:]
-    return [int(line.split()[1].partition(":")[2], 16) for line in lines]
-
-
-def _segments(pid: int) -> set[Path]:
+def segments(pid: int) -> set[Path]:
     """Return the shared memory of Fast DDS that a process has mapped."""
     try:
         maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
@@ -318,7 +306,7 @@ def _segments(pid: int) -> set[Path]:
 
 def _segments_of_all() -> set[Path]:
     pids = [int(entry.name) for entry in Path("/proc").glob("[0-9]*")]
-    return {segment for pid in pids for segment in _segments(pid)}
+    return {segment for pid in pids for segment in segments(pid)}
 
 
 def _words(pid: int) -> list[str]:

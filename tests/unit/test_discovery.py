@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import socket
 from xml.etree import ElementTree
 
 import pytest
 
-from flock_sim.discovery import PROFILES, TRANSPORTS, own_domain, prepare_discovery
+from flock_sim.discovery import (
+    PROFILES,
+    TRANSPORTS,
+    held_domain,
+    own_domain,
+    prepare_discovery,
+    quiet_domains,
+)
 from flock_sim.errors import FlockError
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -111,3 +119,21 @@ def test_a_domain_that_is_named_may_be_shared(monkeypatch, capsys):
     with own_domain():
         pass
     assert capsys.readouterr().err == ""
+
+
+def test_a_domain_is_held_by_one_at_a_time():
+    both = [90, 91]
+    with held_domain([90]) as first, held_domain(both) as second, held_domain(both) as third:
+        assert (first, second, third) == (90, 91, None)
+    with held_domain([90]) as again:
+        assert again == 90
+
+
+def test_domains_on_which_somebody_talks_are_passed_over_and_the_first_is_another_each_time():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as talk:
+        domain = quiet_domains()[-1]
+        talk.bind(("127.0.0.1", 7400 + 250 * domain + 240))
+        quiet = [quiet_domains(), quiet_domains()]
+    assert all(domain not in domains for domains in quiet)
+    assert quiet[0][0] != quiet[1][0]
+    assert 0 not in quiet[0]

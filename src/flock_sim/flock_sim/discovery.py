@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -14,6 +15,7 @@ from ament_index_python.packages import get_package_share_directory
 from flock_sim.command_line import note
 from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
+from flock_sim.shared_memory import FIRST_PORT, PORTS
 
 DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232
@@ -23,11 +25,16 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 RANGES = ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")
 NARROW = ("LOCALHOST", "OFF")
 
+ELSEWHERE = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
+"""What names others to look for, whatever the range."""
+
 NETWORK_HELP = "find, and be found by, nodes on other machines too"
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """What Fast DDS, up to version 2 and from 3 on, reads its settings from."""
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+
+_turns = itertools.count()
 
 
 @contextmanager
@@ -39,18 +46,43 @@ def own_domain() -> Iterator[None]:
     flights on one domain do not touch each other, and only listen to each other's noise.
     """
     chosen = os.environ.get(DOMAIN)
-    with socket.socket(socket.AF_UNIX) as claim:
-        for domain in [int(chosen)] if chosen else range(SAFE_DOMAINS):
-            with suppress(OSError):
-                claim.bind(f"\0flock-domain-{domain}")
-                break
-        else:
-            domain = int(chosen or 0)
+    with held_domain([int(chosen)] if chosen else range(SAFE_DOMAINS)) as held:
+        domain = int(chosen or 0) if held is None else held
+        if held is None:
             note(f"another flight is on ROS domain {domain} too")
-        if domain and not chosen:
+        elif domain and not chosen:
             note(f"another flight is on ROS domain 0: this one has {DOMAIN}={domain}")
         os.environ[DOMAIN] = str(domain)
         yield
+
+
+@contextmanager
+def held_domain(domains: Iterable[int]) -> Iterator[int | None]:
+    """Hold the first of `domains` that no flight of this machine holds; None where all are held."""
+    with socket.socket(socket.AF_UNIX) as claim:
+        yield next((domain for domain in domains if _claimed(claim, domain)), None)
+
+
+def _claimed(claim: socket.socket, domain: int) -> bool:
+    try:
+        claim.bind(f"\0flock-domain-{domain}")
+    except OSError:
+        return False
+    return True
+
+
+def quiet_domains() -> list[int]:
+    """Return the domains from 1 on that nobody on this machine talks on: each has its UDP ports.
+
+    One that was the first is not the first again soon: whoever was on it, this process for one, may
+    still have shared memory of it mapped, and removes that by its name when it lets go.
+    """
+    lines = Path("/proc/net/udp").read_text(encoding="ascii").splitlines()[1:]
+    ports = [int(line.split()[1].partition(":")[2], 16) for line in lines]
+    busy = {(port - FIRST_PORT) // PORTS for port in ports}
+    turn = os.getpid() + next(_turns)
+    quiet = set(range(1, SAFE_DOMAINS)) - busy
+    return sorted(quiet, key=lambda domain: (domain - turn) % SAFE_DOMAINS)
 
 
 def prepare_discovery(network: bool = False) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from types import FunctionType
+from typing import Any, TypeAlias, TypeVar
 
 import numba
 import numpy as np
@@ -21,6 +22,9 @@ CACHE = HERE / "__pycache__" / "kernels"
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
+RULES = {"error_model": "numpy", "fastmath": False, "nogil": True}
+"""How all kernels are compiled."""
+
 
 def kernel(function: Function) -> Function:
     """Compile a loop over numbers; compiled code is kept on disk beside the module.
@@ -30,9 +34,21 @@ def kernel(function: Function) -> Function:
     to others: threads can share out the members of an ensemble.
     """
     with _cache_of_this_version():
-        compiled: Function = numba.njit(
-            cache=True, error_model="numpy", fastmath=False, nogil=True
-        )(function)
+        compiled: Function = numba.njit(cache=True, **RULES)(function)
+    return compiled
+
+
+def anew(function: Function, **callees: Callable[..., object]) -> Function:
+    """Compile a function, or a kernel once more, by the same rules, for this process only.
+
+    `callees` stand in for what it calls by these names: what is kept on disk does not know them.
+    """
+    plain: Any = getattr(function, "py_func", function)
+    names = {**plain.__globals__, **callees}
+    copy = FunctionType(
+        plain.__code__, names, plain.__name__, plain.__defaults__, plain.__closure__
+    )
+    compiled: Function = numba.njit(**RULES)(copy)
     return compiled
 
 

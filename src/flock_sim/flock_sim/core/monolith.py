@@ -15,7 +15,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flock import Flock
 from flock_sim.core.flock_step import forces, move
 from flock_sim.core.kernel import FloatArray, kernel
-from flock_sim.core.links.flock_links import FlockLinks, advance_over_links, felt
+from flock_sim.core.links.flock_links import FlockLinks
 from flock_sim.core.perturbation import Perturbation, in_order
 from flock_sim.core.runge_kutta import STAGES
 
@@ -109,7 +109,7 @@ class Monolith:
         """Take all steps to the beginning of step `until`, before what happens there."""
         flock = self.flock
         if self._links:
-            advance_over_links(
+            self._links.advance(
                 self.position,
                 self.speed,
                 self.configuration.dt,
@@ -154,7 +154,7 @@ class Monolith:
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
         if self._links:
             links, pair_of, faults, memory = self._links.arrays
-            felt(
+            self._links.felt(
                 STAGES * self.step,
                 self.configuration.dt,
                 self.position,

@@ -54,6 +54,7 @@ from flock_sim.core.stage_message import (
     stage_numbers,
     stage_words,
 )
+from flock_sim.core.steering import Control, Steering
 from flock_sim.core.terms import agree
 from flock_sim.core.topics import bird_name
 from flock_sim.errors import FlockError
@@ -88,18 +89,22 @@ class BirdProtocol:
     ['wing', 'progress', 'state', 'progress', 'state', 'progress', 'state', 'progress']
     """
 
+    _feel_and_move: StageKernel = staticmethod(feel_and_move)
+
     def __init__(
         self,
         bird: int,
         configuration: FlockConfiguration,
         run_id: int = 0,
         life: int = 0,
-        stage_kernel: StageKernel = feel_and_move,
+        control: Control | None = None,
+        stage_kernel: StageKernel | None = None,
     ) -> None:
         """Place bird 1..N at its start. `run_id` 0: that of the first grant heard.
 
-        `life` tells this bird from those who were it before, if its process is not the first.
-        `stage_kernel` does as `feel_and_move`, by calling it: a stopwatch may be around it.
+        `life` tells this bird from those who were it before, if its process is not the first;
+        `control` gives a force besides those that all birds feel. `stage_kernel` takes the
+        place of `feel_and_move`, and does the same: a stopwatch may be around it.
         """
         # CPython reads attributes slower where an object has more than 30 of them: a bird would
         # take a twentieth longer for a step.
@@ -137,12 +142,18 @@ class BirdProtocol:
         )
         self._around = Neighbourhood(bird, configuration)
         linkage = configuration.linkage
+        self._steering = (
+            Steering(bird, control, self._own, self._around.birds, configuration)
+            if control
+            else None
+        )
         self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
         self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
         self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
         self._work = np.zeros((WORK_ROWS, members))
-        self._feel_and_move = stage_kernel
+        if stage_kernel is not None:
+            self._feel_and_move = stage_kernel
 
     @property
     def step(self) -> int:
@@ -387,7 +398,7 @@ class BirdProtocol:
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""
         out: list[Outgoing] = []
-        inbox, receiver = self._inbox, self._receiver
+        inbox, receiver, steering = self._inbox, self._receiver, self._steering
         while not inbox.lacking:
             step, stage = divmod(self._tick, STAGES)
             if not self._held:
@@ -396,6 +407,8 @@ class BirdProtocol:
                     heard = receiver.listen(
                         self._tick, self._around.geometry, heard[inbox.side], self._mine
                     )
+                if steering is not None:
+                    steering.steer(self._tick, heard, self._mine)
                 self._feel_and_move(
                     self._tick,
                     self._dt,

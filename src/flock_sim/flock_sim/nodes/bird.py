@@ -7,10 +7,12 @@ import gc
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from rclpy.context import Context
+from rclpy.executors import Executor
 from rclpy.publisher import Publisher
 
 from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Progress
@@ -19,6 +21,7 @@ from flock_sim.core.bird_step import StageKernel, feel_and_move
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
+from flock_sim.core.steering import Control
 from flock_sim.errors import FlockError
 from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.complaints import Complaints
@@ -26,8 +29,10 @@ from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
+from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, new_life, run_node
 from flock_sim.nodes.stopwatch import Stopwatch
+from flock_sim.stop import Stop
 
 REPORTS = latched(1000)
 """How reports to the clock are sent: those of all birds of a process by one publisher."""
@@ -41,6 +46,9 @@ Heard = TypeVar("Heard", bound=messages.Message)
 class BirdNode(DrainedNode):
     """A bird: moves messages between its protocol and its topics, and nothing else."""
 
+    control: Control | None = None
+    """A force besides those that all birds feel: a method of subclasses that have one."""
+
     def __init__(
         self,
         bird: int,
@@ -50,7 +58,7 @@ class BirdNode(DrainedNode):
         context: Context | None = None,
         services: bool = False,
         first: BirdNode | None = None,
-        stage_kernel: StageKernel = feel_and_move,
+        stage_kernel: StageKernel | None = None,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
 
@@ -64,7 +72,9 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = BirdProtocol(bird, configuration, run_id, new_life(), stage_kernel)
+        self.protocol = BirdProtocol(
+            bird, configuration, run_id, new_life(), self.control, stage_kernel
+        )
         outlets = {
             Channel.WING: (BirdWing, topics.wing_topic(bird)),
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
@@ -191,38 +201,68 @@ def work(process: Process) -> None:
     watch = Stopwatch() if operation["stopwatch"] else None
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
-        birds: list[BirdNode] = []
-        for index in indices:
-            birds.append(
-                BirdNode(
-                    index,
-                    configuration,
-                    operation["run_id"],
-                    context=process.context,
-                    services=alone,
-                    first=birds[0] if birds else None,
-                    stage_kernel=watch.around(feel_and_move) if watch else feel_and_move,
-                )
-            )
+        kernel = watch.around(feel_and_move) if watch else None
+        birds = hatch(
+            indices,
+            configuration,
+            operation["run_id"],
+            process.context,
+            kind=partial(BirdNode, stage_kernel=kernel),
+            services=alone,
+        )
         if alone:
             operation = {**operation, "index": indices[0]}
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
-        for bird in birds:
-            executor.add_node(bird)
-        announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
-
-        def look_around() -> bool:
-            diagnostics.tell(lambda: status(birds))
-            return announcements.drain()
-
         gc.freeze()  # what is here stays: no need to look through it again and again
+        fly_together(birds, executor, process.stop, process.patience(), watch)
         if watch:
-            fliers, look = watch.watching(birds, look_around)
-            keep_flying(fliers, executor, process.stop, process.patience(), look)
             watch.times.write(Path(operation["stopwatch"]))
-        else:
-            keep_flying(birds, executor, process.stop, process.patience(), look_around)
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
+
+
+def hatch(
+    indices: Iterable[int],
+    configuration: FlockConfiguration,
+    run_id: int,
+    context: Context,
+    *,
+    kind: Callable[..., BirdNode] = BirdNode,
+    services: bool = False,
+) -> list[BirdNode]:
+    """Return the birds `indices` of one process, nodes of a `kind`."""
+    birds: list[BirdNode] = []
+    for index in indices:
+        first = birds[0] if birds else None
+        birds.append(
+            kind(index, configuration, run_id, context=context, services=services, first=first)
+        )
+    return birds
+
+
+def fly_together(
+    birds: Sequence[BirdNode],
+    executor: Executor,
+    stop: Stop,
+    patience: Patience,
+    watch: Stopwatch | None = None,
+) -> None:
+    """Fly the birds of one process to the end, or until `stop`; `watch` takes the time.
+
+    Raises RunFailed when `patience` runs out.
+    """
+    for bird in birds:
+        executor.add_node(bird)
+    announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
+
+    def look_around() -> bool:
+        diagnostics.tell(lambda: status(birds))
+        return announcements.drain()
+
+    if watch is None:
+        keep_flying(birds, executor, stop, patience, look_around)
+    else:
+        fliers, look = watch.watching(birds, look_around)
+        keep_flying(fliers, executor, stop, patience, look)
 
 
 def status(birds: Sequence[BirdNode]) -> Status:

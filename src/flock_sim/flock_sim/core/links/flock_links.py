@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from flock_sim.core import formation
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flight import circulation_at, drag_of_pair
 from flock_sim.core.flock_step import move
-from flock_sim.core.kernel import FloatArray, IntArray, kernel
+from flock_sim.core.kernel import FloatArray, IntArray, anew, kernel
 from flock_sim.core.links.linkage import SOURCE, TARGET
-from flock_sim.core.links.reception import hear
+from flock_sim.core.links.reception import Hear, hear, hearing
 from flock_sim.core.runge_kutta import STAGES
 
 
@@ -19,7 +22,8 @@ class FlockLinks:
     """The links of a flock and what its birds remember.
 
     `arrays` are the links (links, 7), by target and source; the pair that each is of (links,);
-    the faults (links, 10, members); and the memory (vectors, members).
+    the faults (links, 10, members); and the memory (vectors, members). `felt` and `advance` are the
+    kernels below, with all models that there are.
     """
 
     def __init__(self, configuration: FlockConfiguration, members: int) -> None:
@@ -28,6 +32,7 @@ class FlockLinks:
         pairs = {pair: k for k, pair in enumerate(formation.pairs(birds, configuration.coupling))}
         plan = configuration.linkage.plan(range(1, birds + 1), members)
         between = [pairs[min(pair), max(pair)] for pair in plan.links[:, [SOURCE, TARGET]].tolist()]
+        self.felt, self.advance = _flying(hearing())
         self.arrays = plan.links, np.array(between, dtype=np.int64), plan.faults, plan.memory()
 
 
@@ -154,3 +159,12 @@ def advance_over_links(
             )
         position[:] = position_now
         speed[:] = speed_now
+
+
+@cache
+def _flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return `felt` and `advance_over_links` for what `hearing` gives."""
+    if heard is hear:
+        return felt, advance_over_links
+    feel = anew(felt, hear=heard)
+    return feel, anew(advance_over_links, felt=feel)

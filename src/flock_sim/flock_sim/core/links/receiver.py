@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray, IntArray, kernel
-from flock_sim.core.links.reception import hear
+from flock_sim.core.kernel import FloatArray, IntArray, anew, kernel
+from flock_sim.core.links.reception import Hear, hear, hearing
 from flock_sim.core.stage_message import FIRST_WORD, stage_words
 
 
@@ -26,6 +29,7 @@ class Receiver:
         self._slice = slice(*(members * linkage.memory_ends[bird - 1 : bird + 1]))
         self._dt = configuration.dt
         self._known = np.zeros((2, len(self._plan.links), stage_words(members)))
+        self._listen = _listening(hearing())
         self.memory = self._plan.memory()
 
     def begin(self, memory: FloatArray) -> None:
@@ -43,7 +47,7 @@ class Receiver:
         `said` has shape (neighbours, words): the messages of this tick where there is an exchange;
         `geometry` and `mine` are those of `feel_and_move`, and so is the result, for this tick.
         """
-        _listen(
+        self._listen(
             tick,
             self._dt,
             self._plan.links,
@@ -90,3 +94,9 @@ def _listen(
             known[side, k, position : position + members],
             known[side, k, circulation : circulation + members],
         )
+
+
+@cache
+def _listening(heard: Hear) -> Callable[..., None]:
+    """Return `_listen` for what `hearing` gives."""
+    return _listen if heard is hear else anew(_listen, hear=heard)

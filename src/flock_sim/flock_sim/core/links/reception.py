@@ -10,13 +10,16 @@ then. So nothing of this depends on when or in which order messages travel in tr
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
-from flock_sim.core.kernel import FloatArray, IntArray, kernel
+from flock_sim.core.kernel import FloatArray, IntArray, anew, kernel
 from flock_sim.core.links.chance import FATE, NOISE, gaussians, uniforms
 from flock_sim.core.links.linkage import AT, INTERVAL, MODEL, ROWS, SLOTS, SOURCE, TARGET
-from flock_sim.core.links.registry import know
+from flock_sim.core.links.model import LinkModel
+from flock_sim.core.links.registry import BUILT_IN, MODELS, choice, know
 from flock_sim.core.links.settings import (
     ARRIVAL,
     CIRCULATION,
@@ -37,6 +40,9 @@ from flock_sim.core.links.settings import (
     TIMEOUT,
 )
 from flock_sim.core.runge_kutta import NODES, STAGES
+
+Hear = Callable[..., None]
+"""What `hear` takes, and gives."""
 
 
 @kernel
@@ -187,3 +193,13 @@ def _arrive(
 @kernel
 def _speed_is_altered(faults: FloatArray, m: int) -> bool:
     return bool(faults[SPEED_NOISE, m] > 0.0 or faults[SPEED_QUANTUM, m] > 0.0)
+
+
+def hearing() -> Hear:
+    """Return `hear` with all models that there are: the kernel itself, where none is registered."""
+    return _hearing(tuple(MODELS)) if len(MODELS) > BUILT_IN else hear
+
+
+@cache
+def _hearing(models: tuple[LinkModel, ...]) -> Hear:
+    return anew(hear, know=choice(models))

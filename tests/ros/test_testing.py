@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights within this process: what others build their experiments and tests on."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from flock_sim import reference
+from flock_sim.command_line import FLOCK_OPTIONS
+from flock_sim.core import formation
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.flock import Flock
+from flock_sim.core.flock_step import forces, move
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.monolith import Monolith
+from flock_sim.core.runge_kutta import STAGES
+from flock_sim.core.steering import View
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.nodes.bird import BirdNode
+from flock_sim.run import Run
+from flock_sim.testing import fly_in_process
+from flock_tools.dataset import load
+from terminal import segments
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where temporary files go; nothing may be left there."""
+    directory = tmp_path / "temporary"
+    directory.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(directory))
+    return directory
+
+
+class Watched(BirdNode):
+    """A bird that takes note of what its process uses while it is there."""
+
+    segments: ClassVar[set[Path]] = set()
+    domains: ClassVar[list[str]] = []
+
+    def __init__(self, *arguments: object, **options: object) -> None:
+        super().__init__(*arguments, **options)
+        Watched.segments |= segments(os.getpid())
+        Watched.domains.append(os.environ["ROS_DOMAIN_ID"])
+
+
+@pytest.mark.parametrize(
+    "flock",
+    [
+        {"birds": 4, "t_max": 200, "span_ratios": ["2=0.97,1,1.03"], "coupling": "all"},
+        {"birds": 3, "t_max": 100, "record_every": 5, "links": ["hold:interval=3,drop=0.2"]},
+        {"birds": 1, "t_max": 10, "record_every": 1, "perturbations": ["1@4=0.1,-0.01"]},
+    ],
+    ids=["members", "links", "alone"],
+)
+def test_the_dataset_is_that_of_the_reference_to_the_bit(flock, tmp_path):
+    flown = fly_in_process(**flock)
+    arguments = [
+        str(word)
+        for key, given in flock.items()
+        for value in (given if isinstance(given, list) else [given])
+        for word in (FLOCK_OPTIONS[key], value)
+    ]
+    assert reference.tool([*arguments, "--output", str(tmp_path / "reference"), "--json"]) == 0
+    expected = load(tmp_path / "reference")
+    xr.testing.assert_identical(flown, expected)
+    for name in flown.variables:
+        assert flown[name].values.tobytes() == expected[name].values.tobytes(), name
+
+
+def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypatch, temporary):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    monkeypatch.setattr(Watched, "segments", set())
+    monkeypatch.setattr(Watched, "domains", [])
+    environment, threads = dict(os.environ), threading.active_count()
+    flock = FlockConfiguration(birds=2, t_max=50.0)
+    first = fly_in_process(flock, bird=Watched)
+    second = fly_in_process(flock, bird=Watched)
+    xr.testing.assert_identical(first, second)
+    assert dict(os.environ) == environment
+    assert threading.active_count() == threads
+    assert Watched.segments
+    assert [path for path in Watched.segments if path.exists()] == []
+    assert "42" not in Watched.domains
+    assert list(temporary.iterdir()) == []
+
+
+def test_parameters_win_over_the_configuration_and_the_bag_stays_where_asked(tmp_path):
+    flock = FlockConfiguration(birds=2, t_max=50.0)
+    flown = fly_in_process(flock, t_max=20.0, output=tmp_path / "bag")
+    assert flown.time[-1] == 20.0
+    with Run(tmp_path / "bag") as run:
+        assert run.configuration == FlockConfiguration(birds=2, t_max=20.0)
+        assert run.missing is None
+    with pytest.raises(FlockError, match="exists"):
+        fly_in_process(flock, output=tmp_path / "bag")
+
+
+class Keeper(BirdNode):
+    """A bird with a force of its own."""
+
+    def control(self, view: View) -> FloatArray:
+        others = (view.positions - view.position).sum(axis=0)
+        return np.asarray(0.01 * others + 0.1 * np.sin(view.time) * (1.2 - view.speed))
+
+
+def forced(configuration: FlockConfiguration) -> FloatArray:
+    """Speeds of a flock of Keepers, shape (steps + 1, birds, members), flown in one loop."""
+    flock, flight = Flock.of(configuration), Monolith(configuration)
+    x, u, dt = flight.position, flight.speed, configuration.dt
+    around = [
+        [other - 1 for other in formation.neighbours(bird, flock.birds, configuration.coupling)]
+        for bird in range(1, flock.birds + 1)
+    ]
+    circulation, drag = np.empty_like(u), np.empty_like(u)
+    slopes = np.empty((2, STAGES, u.size))
+    speeds = [u.copy()]
+    for step in range(configuration.steps):
+        x_now, u_now = x.copy(), u.copy()
+        for stage, node in enumerate((0.0, 0.5, 0.5, 1.0)):
+            coefficients = flock.coefficients.copy()
+            for i, others in enumerate(around):
+                pull = (x_now[others] - x_now[i]).sum(axis=0)
+                wave = 0.1 * np.sin((step + node) * dt)
+                coefficients[i, 1] += 0.01 * pull + wave * (1.2 - u_now[i])
+            pairs, lateral, even = flock.pairs, flock.lateral, flock.even
+            half = flock.half_span
+            forces(x_now, u_now, coefficients, half, pairs, lateral, even, circulation, drag)
+            move(stage, dt, x, u, coefficients, drag, *slopes, x_now, u_now)
+        x, u = x_now, u_now
+        speeds.append(u.copy())
+    return np.stack(speeds)
+
+
+def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit():
+    flock = FlockConfiguration(
+        birds=4, dt=0.5, t_max=50.0, record_every=1, span_ratios=("2=0.97,1.03",)
+    )
+    flown = fly_in_process(flock, bird=Keeper).speed.values
+    np.testing.assert_array_equal(flown, forced(flock))
+    assert not np.array_equal(flown, fly_in_process(flock).speed)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({"birdz": 3}, "unknown parameter 'birdz'"),
+        ({"birds": 0}, "birds = 0: must be 1 or more"),
+        ({"links": ["hald"]}, "unknown model 'hald'"),
+        ({"timeout": 0.0}, "timeout 0.0: must be a finite number above 0"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(bad, words):
+    with pytest.raises(FlockError, match=words):
+        fly_in_process(**bad)
+
+
+class Broken(BirdNode):
+    """A bird whose control fails in flight."""
+
+    def control(self, view: View) -> float:
+        if view.time > 20.0:
+            raise ZeroDivisionError("the experiment has a fault")
+        return 0.0
+
+
+class Deaf(BirdNode):
+    """A bird that hears nothing."""
+
+    def hear(self, *_: object) -> bool:
+        return False
+
+
+def test_what_a_bird_fails_with_is_raised_and_the_next_flight_flies(temporary):
+    environment, threads = dict(os.environ), threading.active_count()
+    with pytest.raises(ZeroDivisionError, match="the experiment has a fault"):
+        fly_in_process(birds=2, t_max=1000.0, bird=Broken)
+    with pytest.raises(RunFailed, match=r"no progress for 0\.5 s, waiting for bird_01, bird_02"):
+        fly_in_process(birds=2, t_max=10.0, bird=Deaf, timeout=0.5)
+    assert fly_in_process(birds=2, t_max=10.0).time[-1] == 10.0
+    assert dict(os.environ) == environment
+    assert threading.active_count() == threads
+    assert list(temporary.iterdir()) == []
