@@ -20,7 +20,15 @@ from enum import Enum
 import numpy as np
 
 from flock_sim.core import formation
-from flock_sim.core.bird_step import DRAG, POSITION, SPEED, WORK_ROWS, begin, feel_and_move
+from flock_sim.core.bird_step import (
+    DRAG,
+    POSITION,
+    SPEED,
+    WORK_ROWS,
+    begin,
+    constants,
+    feel_and_move,
+)
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.links.receiver import Receiver
@@ -28,7 +36,7 @@ from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, 
 from flock_sim.core.neighbourhood import Neighbourhood
 from flock_sim.core.perturbation import Perturbation, perturbations
 from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.scaling import BirdCoefficients, Scales
+from flock_sim.core.scaling import Scales
 from flock_sim.core.stage_inbox import (
     FOREIGN,
     IMPOSSIBLE,
@@ -61,6 +69,7 @@ class Channel(Enum):
     STAGE = "stage"
     STATE = "state"
     MEMORY = "memory"
+    AGES = "ages"
     PROGRESS = "progress"
 
 
@@ -115,13 +124,9 @@ class BirdProtocol:
 
         members = configuration.members
         self._members = members
-        ratio = configuration.span_ratio[bird - 1]
-        scales = Scales.of(configuration)
-        self._cruise_speed = scales.cruise_speed
+        self._cruise_speed = Scales.of(configuration).cruise_speed
         self._dt = configuration.dt
-        self._own = np.vstack(
-            [BirdCoefficients.of(scales, ratio).rows(), formation.VORTEX_FRACTION * ratio]
-        )
+        self._own = constants(bird, configuration)
         self._around = Neighbourhood(bird, configuration)
         linkage = configuration.linkage
         self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
