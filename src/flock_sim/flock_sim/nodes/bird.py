@@ -6,8 +6,9 @@ from __future__ import annotations
 import gc
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 from rclpy.context import Context
 from rclpy.publisher import Publisher
@@ -15,6 +16,7 @@ from rclpy.publisher import Publisher
 from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Progress
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.free_flight import check_free
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.errors import FlockError
@@ -25,6 +27,9 @@ from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.process import Process, executing, new_life, run_node
+
+if TYPE_CHECKING:
+    from flock_sim.core.free_bird import FreeBird
 
 REPORTS = latched(1000)
 """How reports to the clock are sent: those of all birds of a process by one publisher."""
@@ -47,10 +52,13 @@ class BirdNode(DrainedNode):
         context: Context | None = None,
         services: bool = False,
         first: BirdNode | None = None,
+        protocol: BirdProtocol | FreeBird | None = None,
+        outlets: Mapping[Channel, tuple[type, str]] | None = None,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
 
         `first` is that of its process, if there are others: they report and complain together.
+        `protocol` and the `outlets` that go with it are those of lockstep if not given.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -59,17 +67,10 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = BirdProtocol(bird, configuration, run_id, new_life())
-        outlets = {
-            Channel.WING: (BirdWing, topics.wing_topic(bird)),
-            Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
-            Channel.STATE: (BirdState, topics.state_topic(bird)),
-        }
-        if configuration.linkage.remembers(bird):
-            outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
+        self.protocol = protocol or BirdProtocol(bird, configuration, run_id, new_life())
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
-            for channel, (kind, topic) in outlets.items()
+            for channel, (kind, topic) in (outlets or _outlets(bird, configuration)).items()
         }
         if first is None:
             self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, REPORTS)
@@ -174,8 +175,20 @@ class BirdNode(DrainedNode):
             self._publish[channel](data)
 
 
+def _outlets(bird: int, configuration: FlockConfiguration) -> dict[Channel, tuple[type, str]]:
+    """Return what a bird says where in lockstep, reports apart."""
+    outlets = {
+        Channel.WING: (BirdWing, topics.wing_topic(bird)),
+        Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
+        Channel.STATE: (BirdState, topics.state_topic(bird)),
+    }
+    if configuration.linkage.remembers(bird):
+        outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
+    return outlets
+
+
 def work(process: Process) -> None:
-    """Fly the birds that the parameters name."""
+    """Fly the birds that the parameters name, in lockstep or freely."""
     configuration, operation = process.configuration, process.operation
     indices = operation["indices"] or [operation["index"]]
     for index in indices:
@@ -185,10 +198,11 @@ def work(process: Process) -> None:
             )
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
+        make, keep = _free(process) if operation["real_time_factor"] else (BirdNode, keep_flying)
         birds: list[BirdNode] = []
         for index in indices:
             birds.append(
-                BirdNode(
+                make(
                     index,
                     configuration,
                     operation["run_id"],
@@ -209,8 +223,19 @@ def work(process: Process) -> None:
             return announcements.drain()
 
         gc.freeze()  # what is here stays: no need to look through it again and again
-        keep_flying(birds, executor, process.stop, process.patience(), look_around)
+        keep(birds, executor, process.stop, process.patience(), look_around)
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
+
+
+def _free(process: Process) -> tuple[Callable[..., BirdNode], Callable[..., None]]:
+    """Return how birds that fly freely are made, and flown."""
+    # Imported here, since they are made of the birds above.
+    from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
+
+    operation = process.operation
+    factor = operation["real_time_factor"]
+    check_free(process.configuration, factor, operation["timeout"], operation["record_stages"])
+    return partial(FreeBirdNode, factor=factor), keep_ticking
 
 
 def status(birds: Sequence[BirdNode]) -> Status:
