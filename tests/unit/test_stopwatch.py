@@ -56,7 +56,7 @@ def test_kernel_messages_and_waiting_are_all_of_the_time(monkeypatch: pytest.Mon
     time, watch = Watch(), Stopwatch()
     monkeypatch.setattr(stopwatch, "perf_counter", time)
     bird = Bird(time, watch)
-    (watched,), look = watch.watching([bird], lambda: bird.drain())
+    watched, look = watch.watched(bird), lambda: watch.fruitful(bird.drain)
     assert not watched.drain_rare()  # before the first stage: no part of the flight
     assert watch.times == Times(0.0, 0.0, 0.0)
     assert watched.drain()  # its first 0.5 s, too

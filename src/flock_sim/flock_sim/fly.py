@@ -25,6 +25,7 @@ from flock_sim.command_line import (
 )
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.free_flight import check_free
 from flock_sim.core.spelling import nearest
 from flock_sim.core.timekeeper import Timekeeper, new_run_id
 from flock_sim.crew import Crew
@@ -56,7 +57,11 @@ EXAMPLES = """\
   ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
   ./flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
   ./flock fly --config flock.yaml --output runs/mine --force
-  ./flock fly --resume runs/mine                      goes on with a flight that was cut short"""
+  ./flock fly --resume runs/mine                      goes on with a flight that was cut short
+  ./flock fly --mode free --t-max 500                 21 s in which nobody waits for anybody"""
+
+MODES = ("lockstep", "free")
+"""Whether birds wait for each other: the first is the default, and the one that is exact."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class Plan:
     record_stages: bool = False
     respawn: bool = True
     resume: bool = False
+    real_time_factor: float = 0.0
+    """How much faster than real time it is flown freely; 0: in lockstep."""
     stopwatch: Path | None = None
     """Directory in which the processes of birds tell where their time went; None: they don't."""
 
@@ -121,12 +128,21 @@ def _parser() -> Parser:
         help="go on with a flight that was cut short, from the last step in its bag",
     )
     how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
+    free = parser.add_argument_group("free flight", "the real thing, which no two flights repeat")
+    free.add_argument(
+        "--mode",
+        metavar="|".join(MODES),
+        default=MODES[0],
+        help="whether birds wait for each other's messages, or step by their own timers (lockstep)",
+    )
+    free.add_argument(
+        "--real-time-factor",
+        metavar="F",
+        help="how much faster than real time a free flight is (1)",
+    )
     how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
     how.add_argument(
-        "--window",
-        metavar="W",
-        default=str(WINDOW),
-        help=f"steps granted ahead; 1 is strict lockstep ({WINDOW})",
+        "--window", metavar="W", help=f"steps granted ahead; 1 is strict lockstep ({WINDOW})"
     )
     how.add_argument(
         "--executor", metavar="|".join(EXECUTORS), default=EXECUTORS[0], help="of rclpy (events)"
@@ -153,20 +169,45 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
     if options.no_record and options.record_stages:
         raise FlockError("--record-stages and --no-record exclude each other: leave one out")
     stages = resumed.stages if resumed else options.record_stages
+    timeout = positive_number("--timeout", options.timeout)
+    factor = _factor(options)
+    if factor:
+        check_free(configuration, factor, timeout, stages)
     topics.steps_ahead(configuration, stages)  # refuses what can't be recorded
     output = options.resume or (None if options.no_record else output_directory(options, "fly"))
     return Plan(
         configuration,
         output,
         whole_number("--processes", options.processes, 1, configuration.birds),
-        positive_number("--timeout", options.timeout),
+        timeout,
         time.monotonic(),
-        whole_number("--window", options.window, 1),
+        whole_number("--window", options.window or str(WINDOW), 1),
         options.executor,
         stages,
-        not options.no_respawn,
+        not options.no_respawn and not factor,
         resumed is not None,
+        real_time_factor=factor,
     )
+
+
+def _factor(options: argparse.Namespace) -> float:
+    """Return the real-time factor, 0 in lockstep. Raises FlockError on what excludes the mode."""
+    if options.mode not in MODES:
+        raise FlockError(f"--mode {options.mode}: {nearest(options.mode, MODES)}")
+    if options.mode == MODES[0]:
+        if options.real_time_factor is not None:
+            raise FlockError(
+                "--real-time-factor is of a free flight, and lockstep is as fast as it can be: add "
+                "--mode free, or leave it out"
+            )
+        return 0.0
+    for option, given in (("--window", options.window), ("--resume", options.resume)):
+        if given is not None:
+            raise FlockError(
+                f"{option} and --mode free exclude each other: a free flight holds nobody back, "
+                "and can't be gone on with; leave one out"
+            )
+    return positive_number("--real-time-factor", options.real_time_factor or "1")
 
 
 def _prepare(output: Path, plan: Plan, force: bool) -> None:
@@ -181,7 +222,13 @@ def _prepare(output: Path, plan: Plan, force: bool) -> None:
 def begin_bag(output: Path, plan: Plan, force: bool = False) -> None:
     """Make `output` the beginning of the bag of `plan`. Raises FlockError as `claim_output`."""
     claim_output(output, force)
-    lay_down(output, plan.configuration, grants=True, stages=plan.record_stages)
+    lay_down(
+        output,
+        plan.configuration,
+        grants=True,
+        stages=plan.record_stages,
+        factor=plan.real_time_factor,
+    )
 
 
 @contextmanager
@@ -205,6 +252,7 @@ def fly(plan: Plan) -> dict[str, Any]:
         "run_id": run_id,
         "executor": plan.executor,
         "timeout": plan.timeout + PATIENCE_OF_CREW,
+        "real_time_factor": plan.real_time_factor,
     }
     with Crew(configuration.parameters(), plan.respawn) as crew:
         if plan.output is not None:
@@ -243,6 +291,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
         plan.output is not None,
         plan.record_stages,
         first_epoch(),
+        plan.real_time_factor,
     )
     furthest = -1
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])

@@ -23,6 +23,11 @@ from flock_sim.errors import FlockError
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
 
+FREE_RECORD = "free"
+"""The one that a free flight has besides, with its real-time factor as JSON."""
+
+FACTOR = "real_time_factor"
+
 
 class _Waiting(NamedTuple):
     """The last row that was written, as long as it may not be on disk, memories and all."""
@@ -47,10 +52,12 @@ class Recording:
         kinds: Mapping[str, type[messages.Message]],
         *,
         resume: bool = False,
+        factor: float = 0.0,
     ) -> None:
         """Begin a bag; `kinds` gives the message of each topic, in the order of the bag.
 
-        `resume`: go on with the bag that is there. Raises what `BagWriter` does.
+        `resume`: go on with the bag that is there. `factor` is the real-time factor of a free
+        flight. Raises what `BagWriter` does.
         """
         self._configuration = configuration
         self._stamp = 0
@@ -71,7 +78,8 @@ class Recording:
                 )
                 for name, kind in kinds.items()
             ],
-            {CONFIGURATION_RECORD: configuration_record(configuration)},
+            {CONFIGURATION_RECORD: configuration_record(configuration)}
+            | ({FREE_RECORD: {FACTOR: json.dumps(factor)}} if factor else {}),
             resume=resume,
         )
         self._place = {name: place for place, name in enumerate(kinds)}
@@ -155,6 +163,8 @@ class Recording:
         for bird, data in row.stages:
             yield place[topics.stage_topic(bird)], data
         yield place[topics.CLOCK_TOPIC], row.time
+        for bird, data in enumerate(row.ages, start=1):
+            yield place[topics.ages_topic(bird)], data
         yield from zip(self._states, row.states, strict=True)
 
     def _look(self) -> None:
@@ -226,14 +236,16 @@ def recording(
     stages: bool = False,
     resume: bool = False,
     live: bool = False,
+    factor: float = 0.0,
 ) -> Iterator[Recording]:
     """Give a recording whose bag is closed, and so complete, however the block ends.
 
     `resume`: it goes on with the bag that is there, or begins one if there is none. `live`: with
-    perturbations that are asked for in flight, which one with grants has anyway.
+    perturbations that are asked for in flight, which one with grants has anyway. `factor`: the
+    real-time factor of a free flight.
     """
-    kinds = _kinds(configuration, grants, stages, live)
-    run = Recording(directory, configuration, kinds, resume=resume)
+    kinds = _kinds(configuration, grants, stages, live, factor > 0.0)
+    run = Recording(directory, configuration, kinds, resume=resume, factor=factor)
     try:
         yield run
     finally:
@@ -241,13 +253,19 @@ def recording(
 
 
 def lay_down(
-    directory: Path, configuration: FlockConfiguration, *, grants: bool, stages: bool
+    directory: Path,
+    configuration: FlockConfiguration,
+    *,
+    grants: bool,
+    stages: bool,
+    factor: float = 0.0,
 ) -> None:
     """Have the beginning of a bag in `directory`, its configuration, for `recording` to resume.
 
     Raises FlockError where there is one already or it can't be written.
     """
-    Recording(directory, configuration, _kinds(configuration, grants, stages)).bag.leave()
+    kinds = _kinds(configuration, grants, stages, free=factor > 0.0)
+    Recording(directory, configuration, kinds, factor=factor).bag.leave()
 
 
 def has_stages(bag: BagReader) -> bool:
@@ -256,7 +274,11 @@ def has_stages(bag: BagReader) -> bool:
 
 
 def _kinds(
-    configuration: FlockConfiguration, grants: bool, stages: bool, live: bool = False
+    configuration: FlockConfiguration,
+    grants: bool,
+    stages: bool,
+    live: bool = False,
+    free: bool = False,
 ) -> dict[str, type[messages.Message]]:
     """Return the message of each topic, in the order of the bag."""
     birds = range(1, configuration.birds + 1)
@@ -267,7 +289,9 @@ def _kinds(
         kinds[topics.PERTURBATION_TOPIC] = messages.Push
     kinds |= {topics.wing_topic(bird): messages.Wing for bird in birds}
     kinds |= {topics.state_topic(bird): messages.State for bird in birds}
-    if grants:  # what can be gone on with
+    if free:
+        kinds |= {topics.ages_topic(bird): messages.Ages for bird in birds}
+    elif grants:  # what can be gone on with
         linkage = configuration.linkage
         remember = [bird for bird in birds if linkage.remembers(bird)]
         kinds |= {topics.memory_topic(bird): messages.Memory for bird in remember}

@@ -76,6 +76,8 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
     with Run(options.repeat) as run:
         if run.missing:
             note(f"note: {run.missing}; it is flown to its end")
+        if run.real_time_factor:
+            note(f"note: {options.repeat} was flown freely, which can't be repeated; in lockstep")
         return run.configuration, run.perturbations()
 
 

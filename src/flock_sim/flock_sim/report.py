@@ -10,6 +10,7 @@ from typing import Any
 
 from flock_sim.command_line import note, print_json
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.freshness import freshness
 from flock_sim.run import Run
 from flock_sim.summary import summary
 
@@ -36,10 +37,11 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
 
     `flight` holds steps_per_second, wall_seconds and output (None: not recorded).
     """
-    metrics = None
+    metrics = fresh = None
     if flight["output"] is not None:
         with Run(flight["output"]) as run:
             metrics = run.metrics()
+            fresh = freshness(run)
     rest = configuration.steps % configuration.record_every
     if metrics is not None and rest:
         note(
@@ -47,10 +49,13 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
             f"{metrics.steps}; choose a --record-every that divides {configuration.steps}"
         )
     if as_json:
-        print_json({**(metrics.as_json() if metrics is not None else {}), **flight})
+        said = [known.as_json() for known in (metrics, fresh) if known is not None]
+        print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
     if metrics is not None:
         print(summary(metrics))
+    if fresh is not None:
+        print("\n".join(fresh.told()))
     if flight["wall_seconds"]:
         print(
             f"flown: {configuration.steps} steps, {flight['steps_per_second']:.0f} steps/s, "

@@ -10,6 +10,7 @@ from pathlib import Path
 from flock_sim.command_line import FLOCK_OPTIONS
 from flock_sim.core import topics
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.free_flight import GONE
 from flock_sim.errors import FlockError
 from flock_sim.run import Run
 
@@ -47,6 +48,8 @@ def resumable(run: Path, options: argparse.Namespace) -> Resumable:
             )
     try:
         with Run(run) as flown:
+            if flown.real_time_factor:
+                raise FlockError(GONE)
             if topics.GRANT_TOPIC not in flown.bag.topics:
                 raise FlockError("it was not recorded by fly")
             return Resumable(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,12 +13,12 @@ from typing import Self, TypeVar
 import numpy as np
 
 from flock_sim.bag.reader import BagReader
-from flock_sim.core import messages, topics
+from flock_sim.core import formation, messages, topics
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import Metrics, measure
 from flock_sim.core.perturbation import Perturbation
 from flock_sim.errors import FlockError
-from flock_sim.recording import CONFIGURATION_RECORD, configuration_of
+from flock_sim.recording import CONFIGURATION_RECORD, FACTOR, FREE_RECORD, configuration_of
 
 ARRAYS = ("position", "speed", "circulation", "interaction_drag")
 """The fields of a state that have one value a member, in the order of the message."""
@@ -97,6 +98,38 @@ class Run:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    @property
+    def real_time_factor(self) -> float:
+        """How much faster than real time it was flown freely; 0 where it was flown in lockstep.
+
+        Raises FlockError where that can't be read.
+        """
+        if topics.ages_topic(1) not in self.bag.topics:
+            return 0.0
+        try:
+            return float(json.loads(self.bag.metadata(FREE_RECORD)[FACTOR]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FlockError(
+                f"{self.path}: the real-time factor can't be read ({error}); take another copy of "
+                "the bag"
+            ) from error
+
+    def ages(self) -> Iterator[tuple[int, messages.Ages]]:
+        """Yield (bird, ages of what it knew) in the order of the bag; nothing if not flown freely.
+
+        Raises FlockError where there are not as many as it has neighbours.
+        """
+        flown = self.configuration
+        bird_of = {topics.ages_topic(bird): bird for bird in range(1, flown.birds + 1)}
+        for topic, _, data in self.bag.messages(topics=list(bird_of)):
+            bird, ages = bird_of[topic], self._decode(messages.Ages, topic, data)
+            links = len(formation.neighbours(bird, flown.birds, flown.coupling))
+            if any(len(values) != links for values in (ages.age, ages.age_max, ages.behind)):
+                raise FlockError(
+                    f"{self.path}: {topic}: not of {links} neighbours; take another copy of the bag"
+                )
+            yield bird, ages
 
     def states(self, start: int | None = None) -> Iterator[tuple[int, messages.State]]:
         """Yield (bird, state) in the order of the bag, from simulated time `start` in ns."""

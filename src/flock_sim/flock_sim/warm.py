@@ -10,6 +10,7 @@ from flock_sim.core.aerodynamics import interaction_integral
 from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
 from flock_sim.core.equilibrium import equilibrium
 from flock_sim.core.flock import Flock
+from flock_sim.core.links.latest import Latest
 from flock_sim.core.messages import Checkpoint, Grant, Wing
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.protocol import BirdProtocol, Channel
@@ -34,7 +35,7 @@ def warm() -> None:
 
 
 def warm_links() -> None:
-    """Do the same with links that are not plain."""
+    """Do the same with links that are not plain, and with those of a free flight."""
     configuration = FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
     for _ in Monolith(configuration).fly():
         pass
@@ -48,6 +49,7 @@ def warm_links() -> None:
     for channel, data in said:
         if channel is Channel.STAGE:
             birds[0].receive_stage(data)
+    Latest(1, (2,), configuration).known(0, 0)
 
 
 def warm_steady_states() -> None:

@@ -54,6 +54,8 @@ def tool(arguments: Sequence[str]) -> int:
         for run in (first, second):
             if run.missing:
                 note(f"note: {run.missing}; what is whole of it is compared")
+            if run.real_time_factor:
+                note(f"note: {run.path} was flown freely: no other flight is equal to it")
         with _progress(first) as show:
             result = compare(first, second, tolerance, show)
         if options.json:

@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flock_sim.command_line import Parser, note, print_json, run_tool
+from flock_sim.freshness import Deviation, deviation, freshness
+from flock_sim.progress import progress_bar
 from flock_sim.run import Run
 from flock_sim.summary import summary
 from flock_tools.moment import add_moment_option, moment
 
 DESCRIPTION = """\
 Say of a recorded run whether the flock holds together, how it is spaced, and what it saves.
-Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min."""
+Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
+Of a free flight also how old what the birds knew was, and how far they are off the same flight in
+lockstep, which is integrated for that."""
 
 EXAMPLES = """\
   ./flock metrics runs/demo
@@ -33,12 +37,22 @@ def tool(arguments: Sequence[str]) -> int:
     with Run(options.run) as run:
         if run.missing:
             note(f"note: {run.missing}; what is whole of it is used")
-        metrics = run.metrics(time)
+        metrics, fresh = run.metrics(time), freshness(run)
+        off = _deviation(run) if fresh else None
     if options.json:
-        print_json(metrics.as_json())
-    else:
-        print(summary(metrics))
+        free = {**fresh.as_json(), "deviation": off.as_json()} if fresh and off else {}
+        print_json({**metrics.as_json(), **free})
+        return 0
+    print(summary(metrics))
+    if fresh and off:
+        print("\n".join([*fresh.told(), *off.told()]))
     return 0
+
+
+def _deviation(run: Run) -> Deviation:
+    """Return how far a free flight is off the lockstep one, which is integrated for that."""
+    with progress_bar("in lockstep", run.configuration) as show:
+        return deviation(run, show)
 
 
 def main() -> int:

@@ -55,7 +55,14 @@ def rewrite(run: Run, output: Path) -> int:
     live = topics.PERTURBATION_TOPIC in run.bag.topics
     stages = has_stages(run.bag)
     foreign = 0
-    with recording(output, run.configuration, grants=grants, stages=stages, live=live) as whole:
+    with recording(
+        output,
+        run.configuration,
+        grants=grants,
+        stages=stages,
+        live=live,
+        factor=run.real_time_factor,
+    ) as whole:
         for topic, log_time, data in _until_broken(run, []):
             try:
                 whole.bag.write(topic, log_time, data)

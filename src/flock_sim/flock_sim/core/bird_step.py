@@ -5,9 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
+from flock_sim.core import formation
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
 from flock_sim.core.kernel import FloatArray, kernel
 from flock_sim.core.runge_kutta import STAGES, stage_value
+from flock_sim.core.scaling import BirdCoefficients, Scales
 from flock_sim.core.stage_message import FIRST_WORD
 
 # Rows of a bird's own constants: its coefficients, as BirdCoefficients.rows() has them, and a_j.
@@ -21,6 +26,13 @@ StageKernel = Callable[
     [int, float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None
 ]
 """What `feel_and_move` is, and whatever does the same by calling it."""
+
+
+def constants(bird: int, configuration: FlockConfiguration) -> FloatArray:
+    """Return a bird's own constants, shape (6, members)."""
+    ratio = configuration.span_ratio[bird - 1]
+    coefficients = BirdCoefficients.of(Scales.of(configuration), ratio)
+    return np.vstack([coefficients.rows(), formation.VORTEX_FRACTION * ratio])
 
 
 @kernel

@@ -3,8 +3,8 @@
 
 A row is all that belongs to one recorded step: the wings (with the first), the stages of the steps
 since the row before (where stages are recorded), the time, the state of every bird, and the memory
-of those who have one. Rows leave in order, each once, so that what the bag holds does not depend on
-how messages travelled.
+of those who have one, or in a free flight the ages of what they knew. Rows leave in order, each
+once, so that what the bag holds does not depend on how messages travelled.
 
 States say which run and epoch they are of; in the bag they say so no more.
 """
@@ -15,7 +15,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Memory, State, Time
+from flock_sim.core.messages import Ages, Memory, State, Time
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.core.stage_message import stage_header
@@ -35,6 +35,8 @@ class Row:
     """The state of bird 1, 2, ... N."""
     memories: list[bytes] = field(default_factory=list)
     """The memory of those birds that have one, in order."""
+    ages: list[bytes] = field(default_factory=list)
+    """The ages that bird 1, 2, ... N told of what it knew, in a free flight."""
 
 
 class _Gathering:
@@ -45,15 +47,23 @@ class _Gathering:
         self.time: bytes | None = None
         self.states: dict[int, bytes] = {}
         self.memories: dict[int, bytes] = {}
+        self.ages: dict[int, bytes] = {}
 
 
 class Ledger:
     """Gathers the rows of one run; what comes twice or is not due is counted and left out."""
 
     def __init__(
-        self, configuration: FlockConfiguration, record_stages: bool = False, saved: int = -1
+        self,
+        configuration: FlockConfiguration,
+        record_stages: bool = False,
+        saved: int = -1,
+        free: bool = False,
     ) -> None:
-        """Expect every recorded step of `configuration` after `saved`."""
+        """Expect every recorded step of `configuration` after `saved`; `free`: of a free flight.
+
+        Birds that fly freely tell the ages of what they know, and have no memory to go on from.
+        """
         self.ignored_for: Counter[str] = Counter()
         """How many messages were left out, by the reason."""
         self._configuration = configuration
@@ -62,7 +72,9 @@ class Ledger:
         self._record_stages = record_stages
         self._rows: dict[int, _Gathering] = {}
         self._wings: dict[int, bytes] = {}
-        self._remember = [bird for bird in self._birds if configuration.linkage.remembers(bird)]
+        remembers = configuration.linkage.remembers
+        self._remember = [bird for bird in self._birds if not free and remembers(bird)]
+        self._tell_ages = len(self._birds) if free else 0
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every
         self._last = self._last_due(configuration.steps)
@@ -105,6 +117,7 @@ class Ledger:
             if bird not in row.states
             or (self._next == 0 and bird not in self._wings)
             or (bird in self._remember and bird not in row.memories)
+            or (self._tell_ages and bird not in row.ages)
         ]
 
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
@@ -136,6 +149,16 @@ class Ledger:
         if not self._due(memory.step) or bird in self._row(memory.step).memories:
             return self._ignore(REPEATED)
         self._row(memory.step).memories[bird] = data
+        return self._complete()
+
+    def add_ages(self, bird: int, data: bytes) -> list[Row]:
+        """Take a BirdAges of `bird`; return the rows that are complete with it."""
+        ages = Ages.decode(data)
+        if (ages.run_id, ages.epoch) != self._run:
+            return self._ignore(FOREIGN if ages.run_id != self._run[0] else STALE)
+        if not self._due(ages.step) or bird in self._row(ages.step).ages:
+            return self._ignore(REPEATED)
+        self._row(ages.step).ages[bird] = data
         return self._complete()
 
     def add_time(self, data: bytes) -> list[Row]:
@@ -187,13 +210,15 @@ class Ledger:
                 or len(row.states) < len(birds)
                 or len(row.stages) < stages
                 or len(row.memories) < len(self._remember)
+                or len(row.ages) < self._tell_ages
             ):
                 break
             in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
             states = [row.states[bird] for bird in birds]
             wings = [] if self._next else [self._wings[bird] for bird in birds]
             memories = [row.memories[bird] for bird in self._remember]
-            rows.append(Row(self._next, wings, in_order, row.time, states, memories))
+            ages = [row.ages[bird] for bird in sorted(row.ages)]
+            rows.append(Row(self._next, wings, in_order, row.time, states, memories, ages))
             del self._rows[self._next]
             self._next += self._every
         return rows

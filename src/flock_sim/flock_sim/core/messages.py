@@ -254,6 +254,27 @@ class Memory(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Ages(Message):
+    """BirdAges: how old what a bird knew of its neighbours was, in a free flight.
+
+    `age`, `age_max` (both in s) and `behind` (in steps) have shape (neighbours,).
+    """
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdAges"
+    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", *3 * ("numbers",), "Q", "d")
+
+    run_id: int
+    step: int
+    epoch: int
+    bird: int
+    age: FloatArray
+    age_max: FloatArray
+    behind: FloatArray
+    late: int
+    lateness: float
+
+
+@dataclass(frozen=True, slots=True)
 class Checkpoint(Message):
     """Checkpoint: where `epoch` begins: at `step`, the last one on disk.
 

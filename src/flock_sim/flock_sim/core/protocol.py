@@ -27,6 +27,7 @@ from flock_sim.core.bird_step import (
     WORK_ROWS,
     StageKernel,
     begin,
+    constants,
     feel_and_move,
 )
 from flock_sim.core.configuration import FlockConfiguration
@@ -36,7 +37,7 @@ from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, 
 from flock_sim.core.neighbourhood import Neighbourhood
 from flock_sim.core.perturbation import Perturbation, perturbations
 from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.scaling import BirdCoefficients, Scales
+from flock_sim.core.scaling import Scales
 from flock_sim.core.stage_inbox import (
     FOREIGN,
     IMPOSSIBLE,
@@ -70,6 +71,7 @@ class Channel(Enum):
     STAGE = "stage"
     STATE = "state"
     MEMORY = "memory"
+    AGES = "ages"
     PROGRESS = "progress"
 
 
@@ -134,12 +136,8 @@ class BirdProtocol:
 
         members = configuration.members
         self._members = members
-        ratio = configuration.span_ratio[bird - 1]
-        scales = Scales.of(configuration)
         self._dt = configuration.dt
-        self._own = np.vstack(
-            [BirdCoefficients.of(scales, ratio).rows(), formation.VORTEX_FRACTION * ratio]
-        )
+        self._own = constants(bird, configuration)
         self._around = Neighbourhood(bird, configuration)
         linkage = configuration.linkage
         self._steering = (
@@ -352,7 +350,6 @@ class BirdProtocol:
         else:
             self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
             self._work[SPEED] = Scales.of(self._configuration).cruise_speed
-            self._push(0)
         begin(self._own, self._mine, self._work)
         if self._receiver:
             self._receiver.begin(checkpoint.memory)

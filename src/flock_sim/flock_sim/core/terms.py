@@ -13,9 +13,12 @@ LONGEST_VALUE = 40
 """Characters of a value that are shown of it."""
 
 
-def terms(configuration: FlockConfiguration) -> str:
-    """Return what is flown, as JSON."""
-    return json.dumps(configuration.parameters(), separators=(",", ":"))
+def terms(configuration: FlockConfiguration, factor: float = 0.0) -> str:
+    """Return what is flown, as JSON; `factor` is the real-time factor of a free flight."""
+    flown = configuration.parameters()
+    if factor:
+        flown["real_time_factor"] = factor
+    return json.dumps(flown, separators=(",", ":"))
 
 
 def run_id_of(configuration: FlockConfiguration) -> int:
@@ -27,12 +30,15 @@ def run_id_of(configuration: FlockConfiguration) -> int:
     return 1 + int.from_bytes(digest, "little") % (2**63 - 1)
 
 
-def agree(who: str, configuration: FlockConfiguration, said: str) -> None:
+def agree(who: str, configuration: FlockConfiguration, said: str, factor: float = 0.0) -> None:
     """Raise FlockError, naming what differs, where the clock's terms `said` are not those of `who`.
+
+    `factor` is the real-time factor of `who`, 0 in lockstep.
 
     Raises ValueError where `said` are no terms.
     """
-    if said == terms(configuration):
+    expected = terms(configuration, factor)
+    if said == expected:
         return
     try:
         theirs = json.loads(said)
@@ -40,7 +46,7 @@ def agree(who: str, configuration: FlockConfiguration, said: str) -> None:
         raise ValueError("terms: too deep") from None
     if not isinstance(theirs, dict):
         raise ValueError("terms: not an object")
-    ours = json.loads(terms(configuration))
+    ours = json.loads(expected)
     different = [
         f"{key} = {_shown(ours.get(key))} and not {_shown(theirs.get(key))}"
         for key in {**ours, **theirs}

@@ -61,15 +61,21 @@ class Timekeeper:
         record: bool,
         record_stages: bool = False,
         epoch: int = 1,
+        factor: float = 0.0,
     ) -> None:
         """Begin a run of `configuration` under `run_id`; `record`: there will be a recorder.
 
         `epoch` is the first one; a clock that takes the place of another begins with a later one.
+        `factor` is the real-time factor of a free flight, in which nobody is held by the window.
         """
         self._configuration = configuration
-        self._window = window
+        self._window = configuration.steps if factor else window
+        self.free = factor > 0.0
+        """Whether birds step by their own timers: such a flight can't be operated."""
+        self.lost = False
+        """Whether a free flight would have had to go back, which it can't."""
         self._ahead = steps_ahead(configuration, record_stages)
-        self._terms = terms(configuration)
+        self._terms = terms(configuration, factor)
         self.run_id = run_id
         self.epoch = epoch
         self.end = configuration.steps
@@ -214,6 +220,7 @@ class Timekeeper:
         """Send everybody back to what is on disk, under a new epoch."""
         if self.begun:
             self._reached_before = self.step
+        self.lost = self.free and self._granted > 0
         self.rewinds.count += 1
         self.epoch += 1
         self.moves += 1

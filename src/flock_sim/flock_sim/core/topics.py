@@ -50,6 +50,11 @@ def memory_topic(bird: int) -> str:
     return f"{NAMESPACE}/{bird_name(bird)}/memory"
 
 
+def ages_topic(bird: int) -> str:
+    """Return the topic of how old what a bird knows is, in a free flight."""
+    return f"{NAMESPACE}/{bird_name(bird)}/ages"
+
+
 def rows_ahead(configuration: FlockConfiguration) -> int:
     """Return how many recorded steps may be on their way to the recorder at once."""
     row = configuration.birds * (128 + 32 * configuration.members)
@@ -77,6 +82,6 @@ def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
 def depth(topic: str, configuration: FlockConfiguration) -> int:
     """Return the depth of the queues of `topic`: all that may be under way on it, and more."""
     kind = topic.rpartition("/")[2]
-    if kind in ("state", "memory", "clock"):
+    if kind in ("state", "memory", "ages", "clock"):
         return 2 * rows_ahead(configuration)
     return {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH}.get(kind, 1)

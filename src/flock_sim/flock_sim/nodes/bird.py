@@ -6,10 +6,10 @@ from __future__ import annotations
 import gc
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rclpy.context import Context
 from rclpy.executors import Executor
@@ -19,6 +19,7 @@ from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Pro
 from flock_sim.core import messages, topics
 from flock_sim.core.bird_step import StageKernel, feel_and_move
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.free_flight import check_free
 from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.core.steering import Control
@@ -34,6 +35,9 @@ from flock_sim.nodes.process import Process, executing, new_life, run_node
 from flock_sim.nodes.stopwatch import Stopwatch
 from flock_sim.stop import Stop
 
+if TYPE_CHECKING:
+    from flock_sim.core.free_bird import FreeBird
+
 REPORTS = latched(1000)
 """How reports to the clock are sent: those of all birds of a process by one publisher."""
 
@@ -41,6 +45,9 @@ FAREWELL = 1.0
 """Longest wait, in s, for whoever else listens; the flock itself needs released birds no more."""
 
 Heard = TypeVar("Heard", bound=messages.Message)
+
+Keep = Callable[..., None]
+"""What `keep_flying` is, and whatever flies birds by the same arguments."""
 
 
 class BirdNode(DrainedNode):
@@ -59,11 +66,14 @@ class BirdNode(DrainedNode):
         services: bool = False,
         first: BirdNode | None = None,
         stage_kernel: StageKernel | None = None,
+        protocol: BirdProtocol | FreeBird | None = None,
+        outlets: Mapping[Channel, tuple[type, str]] | None = None,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
 
         `first` is that of its process, if there are others: they report and complain together.
         `stage_kernel` is for the protocol.
+        `protocol` and the `outlets` that go with it are those of lockstep if not given.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -72,19 +82,12 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = BirdProtocol(
+        self.protocol = protocol or BirdProtocol(
             bird, configuration, run_id, new_life(), self.control, stage_kernel
         )
-        outlets = {
-            Channel.WING: (BirdWing, topics.wing_topic(bird)),
-            Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
-            Channel.STATE: (BirdState, topics.state_topic(bird)),
-        }
-        if configuration.linkage.remembers(bird):
-            outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
-            for channel, (kind, topic) in outlets.items()
+            for channel, (kind, topic) in (outlets or _outlets(bird, configuration)).items()
         }
         if first is None:
             self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, REPORTS)
@@ -189,8 +192,20 @@ class BirdNode(DrainedNode):
             self._publish[channel](data)
 
 
+def _outlets(bird: int, configuration: FlockConfiguration) -> dict[Channel, tuple[type, str]]:
+    """Return what a bird says where in lockstep, reports apart."""
+    outlets = {
+        Channel.WING: (BirdWing, topics.wing_topic(bird)),
+        Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
+        Channel.STATE: (BirdState, topics.state_topic(bird)),
+    }
+    if configuration.linkage.remembers(bird):
+        outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
+    return outlets
+
+
 def work(process: Process) -> None:
-    """Fly the birds that the parameters name."""
+    """Fly the birds that the parameters name, in lockstep or freely."""
     configuration, operation = process.configuration, process.operation
     indices = operation["indices"] or [operation["index"]]
     for index in indices:
@@ -201,23 +216,41 @@ def work(process: Process) -> None:
     watch = Stopwatch() if operation["stopwatch"] else None
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
-        kernel = watch.around(feel_and_move) if watch else None
+        kind, keep = _free(process) if operation["real_time_factor"] else _lockstep(watch)
         birds = hatch(
             indices,
             configuration,
             operation["run_id"],
             process.context,
-            kind=partial(BirdNode, stage_kernel=kernel),
+            kind=kind,
             services=alone,
         )
         if alone:
             operation = {**operation, "index": indices[0]}
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
         gc.freeze()  # what is here stays: no need to look through it again and again
-        fly_together(birds, executor, process.stop, process.patience(), watch)
+        fly_together(birds, executor, process.stop, process.patience(), keep)
         if watch:
             watch.times.write(Path(operation["stopwatch"]))
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
+
+
+def _lockstep(watch: Stopwatch | None) -> tuple[Callable[..., BirdNode], Keep]:
+    """Return how birds that wait for each other are made, and flown; `watch` takes the time."""
+    if watch is None:
+        return BirdNode, keep_flying
+    return partial(BirdNode, stage_kernel=watch.around(feel_and_move)), watch.keep_flying
+
+
+def _free(process: Process) -> tuple[Callable[..., BirdNode], Keep]:
+    """Return how birds that fly freely are made, and flown."""
+    # Imported here, since they are made of the birds above.
+    from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
+
+    operation = process.operation
+    factor = operation["real_time_factor"]
+    check_free(process.configuration, factor, operation["timeout"], operation["record_stages"])
+    return partial(FreeBirdNode, factor=factor), keep_ticking
 
 
 def hatch(
@@ -244,9 +277,9 @@ def fly_together(
     executor: Executor,
     stop: Stop,
     patience: Patience,
-    watch: Stopwatch | None = None,
+    keep: Keep = keep_flying,
 ) -> None:
-    """Fly the birds of one process to the end, or until `stop`; `watch` takes the time.
+    """Fly the birds of one process to the end, or until `stop`; `keep` does as `keep_flying`.
 
     Raises RunFailed when `patience` runs out.
     """
@@ -258,11 +291,7 @@ def fly_together(
         diagnostics.tell(lambda: status(birds))
         return announcements.drain()
 
-    if watch is None:
-        keep_flying(birds, executor, stop, patience, look_around)
-    else:
-        fliers, look = watch.watching(birds, look_around)
-        keep_flying(fliers, executor, stop, patience, look)
+    keep(birds, executor, stop, patience, look_around)
 
 
 def status(birds: Sequence[BirdNode]) -> Status:

@@ -14,10 +14,11 @@ from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import Checkpoint, Grant, Perturbation, Progress
 from flock_sim.core import messages, topics
+from flock_sim.core.free_flight import NO_WAY_BACK
 from flock_sim.core.stage_inbox import MALFORMED
 from flock_sim.core.terms import run_id_of
 from flock_sim.core.timekeeper import Message, Timekeeper
-from flock_sim.errors import FlockError
+from flock_sim.errors import FlockError, RunFailed
 from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.control import Control
 from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
@@ -77,8 +78,11 @@ class ClockNode(Node):
     def look_around(self) -> None:
         """Tell of what is amiss, and how the flight goes.
 
-        Raises FlockError where another clock leads the run: in a callback, rclpy would tell of it.
+        Raises FlockError where another clock leads the run, RunFailed where a free flight is lost:
+        in a callback, rclpy would tell of it.
         """
+        if self.keeper.lost:
+            raise RunFailed(NO_WAY_BACK)
         if self._outdone:
             raise FlockError(
                 f"another clock leads run {self.keeper.run_id}: end it first, or give this one "
@@ -202,6 +206,7 @@ def work(process: Process) -> None:
         operation["record"],
         operation["record_stages"],
         first_epoch(),
+        operation["real_time_factor"],
     )
     with executing(operation["executor"], process.context) as executor:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)

@@ -25,14 +25,14 @@ class Control:
         """Offer the services on `node`; what the keeper then says goes out by `send`."""
         self._keeper = keeper
         self._send = send
-        for name, serve in (
-            ("pause", self._pause),
-            ("resume", self._resume),
-            ("stop", self._stop),
+        for kind, name, serve in (
+            (Trigger, "pause", self._pause),
+            (Trigger, "resume", self._resume),
+            (Trigger, "stop", self._stop),
+            (Step, "step", self._step),
+            (Perturb, "perturb", self._perturb),
         ):
-            node.create_service(Trigger, f"~/{name}", serve)
-        node.create_service(Step, "~/step", self._step)
-        node.create_service(Perturb, "~/perturb", self._perturb)
+            node.create_service(kind, f"~/{name}", _refuse if keeper.free else serve)
 
     def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._keeper.pause()
@@ -64,6 +64,14 @@ class Control:
         self._send(outgoing)
         response.step = step
         return _said(response, f"bird {request.bird} is pushed at step {step}")
+
+
+def _refuse(_: object, response: Response) -> Response:
+    return _said(
+        response,
+        "birds of a free flight step by themselves: nobody can hold or push them; Ctrl-C ends it",
+        success=False,
+    )
 
 
 def _said(response: Response, message: str, *, success: bool = True) -> Response:

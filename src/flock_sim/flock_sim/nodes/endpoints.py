@@ -106,3 +106,14 @@ class Inlet:
         """Return the next message as CDR, or None; never waits."""
         taken = self._take(self._type, True)
         return None if taken is None else taken[0]
+
+    def take_with_age(self) -> tuple[bytes, float] | None:
+        """Return the next message and how long ago it was sent, in s, or None; never waits.
+
+        The age is by the system's time, here and where the message was sent.
+        """
+        taken = self._take(self._type, True)
+        if taken is None:
+            return None
+        data, told = taken
+        return data, max(0.0, 1e-9 * (time.time_ns() - told["source_timestamp"]))

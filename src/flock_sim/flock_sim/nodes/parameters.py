@@ -28,10 +28,11 @@ OPERATION_MEANING = {
     "executor": "which executor of rclpy serves the node",
     "timeout": "how long to wait without news, in s",
     "stopwatch": "file that a process of birds writes where its time went to; empty: none",
+    "real_time_factor": "how much faster than real time birds fly freely; 0: in lockstep",
 }
 """What a node process can be told of how it operates."""
 
-OF_ALL = ("run_id", "timeout", "executor")
+OF_ALL = ("run_id", "timeout", "executor", "real_time_factor")
 """What every node is told of that."""
 
 CHOICES = {"coupling": COUPLINGS, "executor": EXECUTORS}
@@ -63,7 +64,8 @@ def descriptor(name: str, value: object) -> ParameterDescriptor:
     if name in CHOICES:
         told.additional_constraints = f"one of {', '.join(CHOICES[name])}"
     elif isinstance(value, float):
-        told.additional_constraints = "finite and above 0"
+        least = "0 or more" if name == "real_time_factor" else "above 0"
+        told.additional_constraints = f"finite and {least}"
         told.floating_point_range = [
             FloatingPointRange(from_value=0.0, to_value=sys.float_info.max)
         ]

@@ -48,6 +48,7 @@ OPERATION: dict[str, Any] = {
     "executor": "events",
     "timeout": 600.0,
     "stopwatch": "",
+    "real_time_factor": 0.0,
 }
 
 # What every ROS 2 node may be given, and Flock has no use for.
@@ -208,6 +209,8 @@ def _check(operation: Mapping[str, Any]) -> None:
     positive_number("timeout", str(operation["timeout"]))
     for key, least in (("window", 1), ("run_id", 0)):
         whole_number(key, str(operation[key]), least)
+    if operation["real_time_factor"]:
+        positive_number("real_time_factor", str(operation["real_time_factor"]))
     if operation["executor"] not in EXECUTORS:
         raise FlockError(
             f"executor {operation['executor']!r}: {nearest(operation['executor'], EXECUTORS)}"

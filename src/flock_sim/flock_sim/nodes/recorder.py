@@ -17,6 +17,7 @@ from rclpy.executors import Executor
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import (
+    BirdAges,
     BirdMemory,
     BirdStage,
     BirdState,
@@ -29,10 +30,11 @@ from flock_interfaces.msg import (
 from flock_sim.bag.output import claim_output
 from flock_sim.core import messages, topics
 from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.free_flight import GONE, NO_WAY_BACK, check_free
 from flock_sim.core.ledger import Ledger, Row
 from flock_sim.core.stage_inbox import FOREIGN, MALFORMED, NEVER, STALE
 from flock_sim.core.terms import agree
-from flock_sim.errors import FlockError
+from flock_sim.errors import FlockError, RunFailed
 from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.endpoints import DrainedNode, latched
@@ -65,12 +67,14 @@ class RecorderNode(DrainedNode):
         run_id: int,
         record_stages: bool,
         *,
+        factor: float = 0.0,
         context: Context | None = None,
         services: bool = False,
     ) -> None:
         """Listen to a flock of `configuration`; `run_id` 0: that of the first grant heard.
 
-        `services`: with rosout and those for parameters.
+        `factor` is the real-time factor of a free flight. `services`: with rosout and those for
+        parameters.
         """
         super().__init__(
             topics.RECORDER,
@@ -79,10 +83,11 @@ class RecorderNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.ledger = Ledger(configuration, record_stages, run.saved)
+        self.ledger = Ledger(configuration, record_stages, run.saved, factor > 0.0)
         self.released = False
         """Whether the clock has said that the run is over."""
         self._configuration = configuration
+        self._factor = factor
         self._run = run
         self._run_id = run_id
         self._epoch = NEVER
@@ -106,8 +111,11 @@ class RecorderNode(DrainedNode):
         sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
             (BirdWing, topics.wing_topic, self._hear_wing),
             (BirdState, topics.state_topic, self.ledger.add_state),
-            (BirdMemory, topics.memory_topic, self.ledger.add_memory),
         ]
+        if factor:
+            sources.append((BirdAges, topics.ages_topic, self.ledger.add_ages))
+        else:
+            sources.append((BirdMemory, topics.memory_topic, self.ledger.add_memory))
         if record_stages:
             sources.append((BirdStage, topics.stage_topic, self.ledger.add_stage))
         self._sources = [
@@ -188,7 +196,7 @@ class RecorderNode(DrainedNode):
                 self.ledger.ignored_for[FOREIGN if foreign else STALE] += 1
                 return
             if self._epoch == NEVER:
-                agree("the recorder", self._configuration, grant.terms)
+                agree("the recorder", self._configuration, grant.terms, self._factor)
         except ValueError:
             self.ledger.ignored_for[MALFORMED] += 1
             return
@@ -202,7 +210,12 @@ class RecorderNode(DrainedNode):
             self._run.write_grant(data)
 
     def _begin(self, grant: messages.Grant) -> None:
-        """Begin an epoch: what is complete goes on disk, what is not comes again."""
+        """Begin an epoch: what is complete goes on disk, what is not comes again.
+
+        Raises RunFailed in a free flight that has begun: what was can't come again.
+        """
+        if self._factor and self._leave[1] > 0:
+            raise RunFailed(f"the recorder: {NO_WAY_BACK}")
         self._run_id, self._epoch = grant.run_id, grant.epoch
         self._wanted = grant.perturbation
         if not self.ledger.complete:
@@ -335,7 +348,9 @@ def record(node: RecorderNode, executor: Executor, stop: Stop, patience: Patienc
 def work(process: Process) -> None:
     """Record one flight."""
     configuration, operation = process.configuration, process.operation
-    stages = operation["record_stages"]
+    stages, factor = operation["record_stages"], operation["real_time_factor"]
+    if factor:
+        check_free(configuration, factor, operation["timeout"], stages)
     topics.steps_ahead(configuration, stages)  # refuses what can't be recorded
     if not operation["output"]:
         raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
@@ -349,15 +364,20 @@ def work(process: Process) -> None:
     if not resume:
         claim_output(output, operation["force"])
     with (
-        recording(output, configuration, grants=True, stages=stages, resume=resume) as run,
+        recording(
+            output, configuration, grants=True, stages=stages, resume=resume, factor=factor
+        ) as run,
         executing(operation["executor"], process.context) as executor,
     ):
+        if factor and run.saved >= 0:
+            raise FlockError(f"output {output}: {GONE}; name another output, or give force:=true")
         services = not process.supervised
         node = RecorderNode(
             configuration,
             run,
             operation["run_id"],
             stages,
+            factor=factor,
             context=process.context,
             services=services,
         )

@@ -10,8 +10,12 @@ from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
 
+from rclpy.executors import Executor
+
 from flock_sim.core.bird_step import StageKernel
-from flock_sim.nodes.drain import Flier
+from flock_sim.nodes.drain import Flier, keep_flying
+from flock_sim.nodes.patience import Patience
+from flock_sim.stop import Stop
 from flock_sim.times import Times
 
 
@@ -46,11 +50,21 @@ class Stopwatch:
 
         return timed
 
-    def watching(
-        self, birds: Sequence[Flier], look_around: Callable[[], bool]
-    ) -> tuple[list[Flier], Callable[[], bool]]:
-        """Return `birds` and `look_around` with the watch around all that they find to do."""
-        return [_Watched(bird, self.fruitful) for bird in birds], lambda: self.fruitful(look_around)
+    def keep_flying(
+        self,
+        birds: Sequence[Flier],
+        executor: Executor,
+        stop: Stop,
+        patience: Patience,
+        look_around: Callable[[], bool],
+    ) -> None:
+        """Do as `drain.keep_flying`, with the watch around all that they find to do."""
+        watched = [self.watched(bird) for bird in birds]
+        keep_flying(watched, executor, stop, patience, lambda: self.fruitful(look_around))
+
+    def watched(self, bird: Flier) -> Flier:
+        """Return `bird` with the watch around all that it finds to do."""
+        return _Watched(bird, self.fruitful)
 
     def fruitful(self, work: Callable[[], bool]) -> bool:
         """Do `work`, and count its time where it came upon something to do."""

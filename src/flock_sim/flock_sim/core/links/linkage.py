@@ -59,12 +59,12 @@ class Linkage:
     @cached_property
     def plain(self) -> bool:
         """Whether every bird knows at every stage what its neighbours say at it."""
-        return all(settings.plain for settings in self._used())
+        return all(settings.plain for settings in self.used())
 
     @cached_property
     def timetable(self) -> Timetable:
         """When the birds exchange messages."""
-        used = self._used()
+        used = self.used()
         if not used or any(settings.every_stage for settings in used):
             return Timetable()
         return Timetable(False, tuple(sorted({settings.interval for settings in used})))
@@ -105,12 +105,7 @@ class Linkage:
         """Return how many vectors a bird remembers, one number a member each."""
         return int(self.memory_ends[bird] - self.memory_ends[bird - 1])
 
-    def _links_to(self, targets: Iterable[int]) -> Iterator[tuple[int, int]]:
-        for target in targets:
-            for source in formation.neighbours(target, self._birds, self._coupling):
-                yield source, target
-
-    def _used(self) -> list[Settings]:
+    def used(self) -> list[Settings]:
         """Return all ways in which links are set."""
         neighbours = formation.neighbours
         links = sum(
@@ -119,6 +114,11 @@ class Linkage:
         )
         general = self._birds > 1 and (not self._single or links > len(self._single))
         return [*([self._general] if general else []), *self._single.values()]
+
+    def _links_to(self, targets: Iterable[int]) -> Iterator[tuple[int, int]]:
+        for target in targets:
+            for source in formation.neighbours(target, self._birds, self._coupling):
+                yield source, target
 
     def _check(self, link: tuple[int, int], entry: str) -> None:
         source, target = link

@@ -109,10 +109,15 @@ class Settings:
         return MODELS[self.model].every_stage
 
     @property
+    def faultless(self) -> bool:
+        """Whether nothing is late, lost or altered, by what is set."""
+        defaults = [bounds.default for bounds in FAULTS.values()][:SEED]
+        return bool(np.all(defaults == self.faults[:SEED].T))
+
+    @property
     def plain(self) -> bool:
         """Whether the target knows at every stage just what the source says at it."""
-        defaults = [bounds.default for bounds in FAULTS.values()][:SEED]
-        return self.every_stage and bool(np.all(defaults == self.faults[:SEED].T))
+        return self.every_stage and self.faultless
 
     @property
     def rows(self) -> int:

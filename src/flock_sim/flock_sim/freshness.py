@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a free flight: how fresh was what its birds knew, and what came of that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flock_sim.core import formation
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import plain
+from flock_sim.core.monolith import Monolith
+from flock_sim.run import Run
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How values are distributed: median, 95 % of them are below, largest."""
+
+    median: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, values: FloatArray, largest: FloatArray) -> Spread:
+        """Return it for `values`, where `largest` are the largest of those between them."""
+        median, p95 = np.quantile(values, (0.5, 0.95)).tolist()
+        return cls(median, p95, float(np.max(largest)))
+
+    def times(self, unit: float) -> Spread:
+        """Return it in another unit."""
+        return Spread(unit * self.median, unit * self.p95, unit * self.max)
+
+
+@dataclass(frozen=True)
+class Freshness:
+    """How old what the birds of a free flight knew was, and how punctual they were."""
+
+    factor: float
+    """How much faster than real time it was flown."""
+    unit: float
+    """b / U_min in s of real time: at that factor."""
+    links: dict[tuple[int, int], Spread]
+    """The ages in s of real time, by (source, target)."""
+    age: Spread | None
+    """Those of all links; None where nobody has a neighbour."""
+    behind: Spread | None
+    """How many steps the states that were used were behind the steps that they were used in."""
+    taken: int
+    """How many steps all birds took, up to the last recorded one."""
+    late: list[int]
+    """Of each bird, how many steps it took only when the next one was due as well."""
+    lateness: float
+    """The most that a step was taken after it was due, in s."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `metrics` says; ages are in b / U_min where they are not in seconds."""
+        perhaps = self.age.times(1.0 / self.unit) if self.age else None
+        return {
+            "mode": "free",
+            "real_time_factor": self.factor,
+            "age": vars(perhaps) if perhaps else None,
+            "age_seconds": vars(self.age) if self.age else None,
+            "steps_behind": vars(self.behind) if self.behind else None,
+            "links": [
+                {"source": source, "target": target, **vars(spread.times(1.0 / self.unit))}
+                for (source, target), spread in self.links.items()
+            ],
+            "steps_taken": self.taken,
+            "late_steps": self.late,
+            "lateness_seconds": self.lateness,
+        }
+
+    def told(self) -> list[str]:
+        """Return the lines that `fly` and `metrics` print."""
+        lines = [f"flown freely, at real-time factor {self.factor:g}"]
+        if self.age and self.behind:
+            age, behind = self.age.times(1.0 / self.unit), self.behind
+            lines += [
+                f"  age of what is known median {age.median:.3g}, 95 % below {age.p95:.3g}, at "
+                f"most {age.max:.3g} b/U_min",
+                f"  in real time         median {1e3 * self.age.median:.3g}, 95 % below "
+                f"{1e3 * self.age.p95:.3g}, at most {1e3 * self.age.max:.3g} ms",
+                f"  steps behind         median {behind.median:g}, 95 % at most {behind.p95:g}, "
+                f"at most {behind.max:g}",
+            ]
+        lines.append(
+            f"  late steps           {sum(self.late)} of {self.taken}, by "
+            f"{1e3 * self.lateness:.3g} ms at most"
+        )
+        return lines
+
+
+def freshness(run: Run) -> Freshness | None:
+    """Return how fresh what birds knew was in `run`; None where it was not flown freely.
+
+    The largest age is that of all steps, the distribution that of the recorded ones.
+    """
+    factor, flown = run.real_time_factor, run.configuration
+    if not factor:
+        return None
+    told: dict[int, list[FloatArray]] = {bird: [] for bird in range(1, flown.birds + 1)}
+    taken, late, lateness = [0] * flown.birds, [0] * flown.birds, 0.0
+    for bird, ages in run.ages():
+        told[bird].append(np.stack([ages.age, ages.age_max, ages.behind]))
+        taken[bird - 1], late[bird - 1] = ages.step + 1, ages.late
+        lateness = max(lateness, ages.lateness)
+    links, every = {}, []
+    for bird, rows in told.items():
+        values = np.stack(rows) if rows else np.empty((0, 3, 0))
+        for k, other in enumerate(formation.neighbours(bird, flown.birds, flown.coupling)):
+            if len(values):
+                links[other, bird] = Spread.of(values[:, 0, k], values[:, 1, k])
+                every.append(values[:, :, k])
+    age = behind = None
+    if every:
+        all_values = np.concatenate(every)
+        age = Spread.of(all_values[:, 0], all_values[:, 1])
+        behind = Spread.of(all_values[:, 2], all_values[:, 2])
+    return Freshness(factor, flown.second / factor, links, age, behind, sum(taken), late, lateness)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far a flight is off another: each has shape (quantities, members), those of UNITS.
+
+    They are the largest differences of any bird at the last recorded step, and at any.
+    """
+
+    end: FloatArray
+    most: FloatArray
+
+    def as_json(self) -> dict[str, object]:
+        """Return it by quantity, None for what is not finite."""
+        return {
+            name: {"end": plain(self.end[k]), "max": plain(self.most[k])}
+            for k, name in enumerate(UNITS)
+        }
+
+    def told(self) -> list[str]:
+        """Return the lines that `metrics` prints: the largest of all members."""
+        return ["off the same flight in lockstep"] + [
+            f"  {name:<20} {np.max(self.end[k]):.3g} {unit} at the end, "
+            f"{np.max(self.most[k]):.3g} at most"
+            for k, (name, unit) in enumerate(UNITS.items())
+        ]
+
+
+UNITS = {"position": "b", "spacing": "b", "speed": "U_min"}
+"""What deviates, and its unit."""
+
+
+def deviation(run: Run, show: Callable[[int], None]) -> Deviation:
+    """Return how far `run` is off the lockstep flight of what it flew; `show` hears of steps."""
+    flown = run.configuration
+    end = np.zeros((len(UNITS), flown.members))
+    most = end
+    lockstep = Monolith(flown, live=run.perturbations()).fly()
+    for snapshot, exact in zip(run.snapshots(), lockstep, strict=False):
+        position, speed = snapshot.position - exact.position, snapshot.speed - exact.speed
+        off = (position, np.diff(position, axis=0), speed)
+        end = np.stack([np.max(np.abs(values), axis=0, initial=0.0) for values in off])
+        most = np.maximum(most, end)
+        show(snapshot.step)
+    return Deviation(end, most)
