@@ -91,6 +91,15 @@ OPERATION = [
     (["--timeout", "0"], ["--timeout 0", "above 0"]),
     (["--timeout", "nan"], ["--timeout nan", "finite"]),
     (["--no-record", "--record-stages"], ["--record-stages", "--no-record", "leave one out"]),
+    (["--mode", "fre"], ["--mode fre", "did you mean 'free'", "lockstep"]),
+    (["--mode", "free", "--real-time-factor", "0"], ["--real-time-factor 0", "above 0"]),
+    (["--mode", "free", "--real-time-factor", "-2"], ["--real-time-factor -2", "above 0"]),
+    (["--mode", "free", "--real-time-factor", "nan"], ["--real-time-factor nan", "finite"]),
+    (["--mode", "free", "--real-time-factor", "0.001"], ["0.001", "a step would take 41.67 s"]),
+    (["--mode", "free", "--window", "1"], ["--window", "--mode free", "leave one out"]),
+    (["--mode", "free", "--record-stages"], ["--record-stages", "leave"]),
+    (["--mode", "free", "--link", "hold:delay=3"], ["'hold:delay=3'", "free", "leave out"]),
+    (["--real-time-factor", "2"], ["--real-time-factor", "--mode free"]),
     (["--network"], ["ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST", "--network", "leave one out"]),
 ]
 

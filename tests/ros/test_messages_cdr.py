@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import (
+    BirdAges,
     BirdMemory,
     BirdStage,
     BirdState,
@@ -58,6 +59,10 @@ FIELDS = {
         ["run_id", "step", "epoch", "position", "speed", "perturbations", "memory"],
     ),
     messages.Memory: (BirdMemory, ["run_id", "step", "epoch", "bird", "data"]),
+    messages.Ages: (
+        BirdAges,
+        ["run_id", "step", "epoch", "bird", "age", "age_max", "behind", "late", "lateness"],
+    ),
     messages.Push: (
         Perturbation, ["run_id", "step", "position", "speed", "number", "bird", "member"],
     ),

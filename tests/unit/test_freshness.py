@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a free flight, where it is known what must be said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.core.messages import Ages
+from flock_sim.core.monolith import Monolith
+from flock_sim.freshness import deviation, freshness
+from flock_sim.recording import recording
+from flock_sim.reference import row
+from flock_sim.run import Run
+from unit.flights import record
+
+FLOWN = FlockConfiguration(birds=3, t_max=100.0, record_every=1, span_ratios=("1=1,1.01",))
+NEIGHBOURS = {1: 1, 2: 2, 3: 1}
+
+
+def ages(bird: int, step: int) -> bytes:
+    """Bird b knows all its neighbours b ms more than `step` ms late."""
+    age = np.full(NEIGHBOURS[bird], 1e-3 * (step + bird))
+    behind = np.full(NEIGHBOURS[bird], float(step % 2))
+    return Ages(7, step, 1, bird, age, age + 0.5, behind, step // 10, 1e-3 * step).encode()
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A flight in which bird 2 was elsewhere at step 50, and faster at the end, in member 2."""
+    with recording(tmp_path / "bag", FLOWN, grants=True, factor=4.0) as run:
+        for recorded in Monolith(FLOWN).fly():
+            if recorded.step == 50:
+                recorded.position[1, 1] += 0.5
+            if recorded.step == 100:
+                recorded.speed[1, 1] += 0.25
+            told = [ages(bird, recorded.step) for bird in NEIGHBOURS]
+            run.write_row(replace(row(FLOWN, recorded), ages=told))
+    return tmp_path / "bag"
+
+
+def test_ages_are_told_in_seconds_and_in_the_flight_s_own_unit(bag: Path) -> None:
+    with Run(bag) as run:
+        fresh = freshness(run)
+    assert fresh is not None
+    link = fresh.links[2, 3]  # 3 ms to 103 ms
+    assert (link.median, link.p95, link.max) == pytest.approx((0.053, 0.098, 0.603), rel=1e-12)
+    # Four links, of birds 1, 2, 2 and 3: as if all were of bird 2, but for the ends.
+    assert fresh.age is not None
+    assert fresh.age.median == pytest.approx(0.052, rel=1e-12)
+    told = fresh.as_json()
+    assert told["age"]["max"] == pytest.approx(0.603 * 4.0 / FLOWN.second, rel=1e-12)
+    assert told["steps_behind"] == {"median": 0.0, "p95": 1.0, "max": 1.0}
+    assert (told["late_steps"], told["steps_taken"]) == ([10, 10, 10], 303)
+    assert told["lateness_seconds"] == pytest.approx(0.1)
+
+
+def test_the_deviation_is_that_from_the_lockstep_flight(bag: Path) -> None:
+    with Run(bag) as run:
+        off = deviation(run, lambda step: None).as_json()
+    assert off["position"] == {"end": [0.0, 0.0], "max": [0.0, pytest.approx(0.5, rel=1e-12)]}
+    assert off["spacing"] == {"end": [0.0, 0.0], "max": [0.0, pytest.approx(0.5, rel=1e-12)]}
+    assert off["speed"]["end"] == off["speed"]["max"] == [0.0, pytest.approx(0.25, rel=1e-12)]
+
+
+def test_a_flight_in_lockstep_has_no_ages(tmp_path: Path) -> None:
+    with Run(record(tmp_path / "bag", FLOWN)) as run:
+        assert run.real_time_factor == 0.0
+        assert freshness(run) is None
+        assert list(run.ages()) == []
