@@ -36,6 +36,7 @@ TOOLS = {
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",
     "survey": "flock_tools.survey",
+    "sweep": "flock_tools.sweep",
 }
 
 DEADLINE = 120.0

@@ -23,6 +23,7 @@ setup(
             "equilibrium=flock_tools.equilibrium:main",
             "limits=flock_tools.limits:main",
             "survey=flock_tools.survey:main",
+            "sweep=flock_tools.sweep:main",
         ],
     },
 )

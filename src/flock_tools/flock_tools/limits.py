@@ -30,6 +30,7 @@ from flock_sim.errors import FlockError
 from flock_sim.progress import counter
 from flock_sim.warm import warm, warm_steady_states
 from flock_tools.ensemble import Ensembles
+from flock_tools.exact_links import check_links_exact
 from flock_tools.picture_file import check_picture, write_picture
 from flock_tools.workers import workers
 
@@ -53,7 +54,7 @@ exact: by the existence of the steady state.
 integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
 the homogeneous flock; bisection to --resolution.
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate; --perturb and --link have no say.
+integrate; --perturb has no say; links have to be exact.
 An end that is not inside the searched interval is told so, and null in JSON.
 Exit status: 0, whatever the answer is; 2 bad input."""
 
@@ -224,6 +225,7 @@ def _opens(end: End) -> str:
 
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
+    check_links_exact(configuration, "limits")
     if configuration.birds < 2:
         raise FlockError(f"birds = {configuration.birds}: limits need a formation, of 2 or more")
     if configuration.members > 1:
