@@ -20,7 +20,8 @@ from flock_tools.sweep_axes import Axis
 from flock_tools.sweep_file import Sweep
 
 MOST_PANELS = 6
-MOST_TICKS = 6
+TICKS = (6, 5, 7, 4)
+"""How many values of an axis are named, the first of these that takes them evenly."""
 
 LEAST_SPREAD = 1e-16
 """What a spread of 0 is drawn as, in U_min: logarithms know none."""
@@ -202,7 +203,8 @@ def _log_if_wide(axes: Axes, values: FloatArray) -> None:
 def _ticks(axes: Axes, which: str, axis: Axis) -> None:
     """Name some values of an axis, evenly taken, at their places."""
     last = len(axis.values) - 1
-    count = min(MOST_TICKS, last + 1)
+    even = (count for count in TICKS if last % (count - 1) == 0)
+    count = last + 1 if last < max(TICKS) else next(even, TICKS[0])
     places = sorted({round(k) for k in np.linspace(0, last, count)})
     labels = [_tick(axis.values[k]) for k in places]
     axes.set(**{f"{which}ticks": places, f"{which}ticklabels": labels})

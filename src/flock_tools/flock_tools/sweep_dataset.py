@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 import flock_sim
-from flock_sim.core.metrics import Metrics, measure
+from flock_sim.core.metrics import STABLE_BELOW, Metrics, measure
 from flock_sim.errors import FlockError
 from flock_sim.run import Run, Snapshot
 from flock_tools.sweep_file import Flight, Sweep
@@ -26,7 +26,7 @@ BIRD, GAP = "bird", "gap"
 ATTRIBUTES = {
     "mean_speed": ("mean speed of the birds at the end", "U_min"),
     "speed_std": ("spread of the birds' speeds at the end, sigma_U", "U_min"),
-    "holds": ("whether the flock holds together, sigma_U < 1e-4", "1"),
+    "holds": (f"whether the flock holds together, sigma_U < {STABLE_BELOW:g}", "1"),
     "diverged": ("whether positions or speeds are no finite numbers at the end", "1"),
     "mean_drag_reduction": ("drag saved at the end, mean over the birds", "1"),
     "mean_spacing": ("mean distance along the flight of neighbours at the end", "b"),
