@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 from pathlib import Path
 
 import numpy as np
-import pytest
 import xarray as xr
 
+from flock_sim import reference
+from flock_sim.command_line import run_tool
 from flock_sim.errors import FlockError
 from flock_sim.run import Run
 from terminal import Job, Terminal
@@ -44,31 +46,38 @@ def started(terminal: Terminal) -> Job:
 def assert_members_are_those_of_the_reference(terminal: Terminal) -> None:
     with xr.open_dataset(terminal.directory / "runs/s/sweep.nc", engine="scipy") as found:
         assert dict(found.sizes) == {"span_ratio_2": 3, "link_delay": 2, "bird": 3, "gap": 2}
-        for i, ratio in enumerate(RATIOS):
-            for j, delay in enumerate(DELAYS):
-                bag, link = f"{i}{j}", f"linear:interval=2,drop=0.2,delay={delay}"
-                done = terminal.well(
-                    *("reference", "--birds", 3, "--t-max", STEPS, "--record-every", 10),
-                    *("--span-ratio", f"2={ratio}", "--link", link, "--output", bag, "--json"),
-                )
-                with Run(terminal.directory / bag) as run:
-                    end = run.at()
-                member = found.isel(span_ratio_2=i, link_delay=j)
-                assert (member.span_ratio_2, member.link_delay) == (float(ratio), float(delay))
-                assert np.array_equal(member.position, end.position[:, 0])
-                assert np.array_equal(member.speed, end.speed[:, 0])
-                for name in ("mean_speed", "speed_std", "spacing", "drag_reduction"):
-                    assert np.array_equal(member[name], done.json[name][0]), name
-                assert bool(member.holds) == done.json["stable"][0]
+        for (i, ratio), (j, delay) in itertools.product(enumerate(RATIOS), enumerate(DELAYS)):
+            bag = terminal.directory / f"{i}{j}"
+            flock = ["--birds", "3", "--t-max", str(STEPS), "--record-every", "10"]
+            link = ["--link", f"linear:interval=2,drop=0.2,delay={delay}"]
+            ratios = ["--span-ratio", f"2={ratio}"]
+            assert run_tool(reference.tool, [*flock, *ratios, *link, "--output", str(bag)]) == 0
+            with Run(bag) as run:
+                end, metrics = run.at(), run.metrics()
+            member = found.isel(span_ratio_2=i, link_delay=j)
+            assert (member.span_ratio_2, member.link_delay) == (float(ratio), float(delay))
+            assert np.array_equal(member.position, end.position[:, 0])
+            assert np.array_equal(member.speed, end.speed[:, 0])
+            for name in ("mean_speed", "speed_std", "spacing", "drag_reduction"):
+                assert np.array_equal(member[name], getattr(metrics, name)[0]), name
+            assert bool(member.holds) == metrics.stable[0]
+
+
+def kill(job: Job) -> None:
+    os.kill(job.process.pid, signal.SIGKILL)
+    job.wait()
 
 
 def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Terminal) -> None:
     runs = terminal.directory / "runs/s"
     job = started(terminal)
+    job.until(lambda: job.workers("flock_sim.fly"))
+    kill(job)
+
+    job = started(terminal)
     job.until(lambda: last_step(runs / "flight_02") > 0)
     first = (runs / "flight_01" / "flight_01_0.mcap").stat()
-    os.kill(job.process.pid, signal.SIGKILL)
-    job.wait()
+    kill(job)
     assert not (runs / "sweep.nc").exists()
 
     done = started(terminal).wait()
@@ -85,20 +94,3 @@ def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Termin
     refused = terminal.run("sweep", "s.yaml", "--members-at-once", 3)
     assert refused.status == 2
     assert "output runs/s holds another sweep" in refused.error
-
-
-@pytest.mark.parametrize("moment", ["laid down", "starting"])
-def test_a_sweep_killed_before_anything_is_flown_begins_again(
-    terminal: Terminal, moment: str
-) -> None:
-    job = started(terminal)
-    if moment == "laid down":
-        job.until(lambda: (terminal.directory / "runs/s").exists())
-    else:
-        job.until(lambda: job.workers("flock_sim.fly"))
-    os.kill(job.process.pid, signal.SIGKILL)
-    job.wait()
-    (terminal.directory / "s.yaml").write_text(FILE)
-    done = terminal.run("sweep", "s.yaml", "--members-at-once", 6, "--force", "--json")
-    assert done.status == 0, done.stderr
-    assert done.json["flights"] == done.json["flights_flown"] == 1

@@ -113,7 +113,9 @@ def test_what_is_said_of_one_link_wins_over_what_is_said_of_all_in_any_order() -
 
 
 def test_the_text_of_a_sweep_is_that_sweep() -> None:
-    swept = asked(AXES, links=["hold"], span_ratios=["1=1.01"])
+    axes = {name: AXES[name] for name in AXES if name not in ("lambda_3", "dt", "link.seed")}
+    axes["link.interval"] = [2]
+    swept = asked(axes, links=["hold"], span_ratios=["1=1.01"])
     again = sweep(yaml.safe_load(swept.text()))
     assert again.text() == swept.text()
     assert again.members() == swept.members()
@@ -216,6 +218,13 @@ def test_what_is_no_sweep_of_ours_is_left_alone(tmp_path: Path) -> None:
         ):
             pass
     assert (tmp_path / "letter.txt").read_text() == "dear"
+
+
+def test_a_directory_that_a_kill_has_left_without_a_plan_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "sweep.yaml.part").write_text("half a pl")
+    with SweepDirectory(tmp_path).held("plan", False):
+        pass
+    assert [entry.name for entry in tmp_path.iterdir()] == ["sweep.yaml"]
 
 
 def test_another_sweep_is_refused_and_replaced_if_asked_for(tmp_path: Path) -> None:
