@@ -63,9 +63,17 @@ def _curves(found: xr.Dataset, axis: Axis) -> Figure:
     figure = Figure(figsize=(PAGE, 2.7), layout="constrained")
     left, right = figure.subplots(1, 2)
     across = _across(left, right, axis)
-    kind = {"color": BLUE, "marker": "o" if len(axis.values) <= 60 else "", "markersize": 2.6}
+    words = isinstance(axis.values[0], str)
+    kind = {
+        "linestyle": "" if words else "-",
+        "color": BLUE,
+        "marker": "o" if len(axis.values) <= 60 else "",
+        "markersize": 2.6,
+    }
     left.plot(across, np.maximum(found.speed_std, LEAST_SPREAD), **kind)
     left.set(ylabel=SPREAD, yscale="log")
+    left.update_datalim([(across[0], STABLE_BELOW / 3.0)])  # room for the words
+    left.autoscale_view()
     left.axhline(STABLE_BELOW, color=ALARM, linewidth=0.8, linestyle="--")
     left.annotate(
         "holds together below",
@@ -136,7 +144,8 @@ def _panels(found: xr.Dataset, down: Axis, across: Axis, panel: Axis) -> Figure:
         axes.label_outer()
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
-    for axes in grid[-1]:
+    for axes in grid.flat[max(0, len(shown) - columns) : len(shown)]:  # with nothing below them
+        axes.tick_params(labelbottom=True)
         axes.set_xlabel(_label(across))
     for axes in grid[:, 0]:
         axes.set_ylabel(_label(down))

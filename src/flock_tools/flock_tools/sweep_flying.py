@@ -17,7 +17,7 @@ from flock_tools.sweep_file import Flight
 PR_SET_PDEATHSIG = 1
 
 GRACE = 15.0
-"""How long, in s, a flight may take to end in order when the sweep is stopped."""
+"""How long, in s, a flight may take to end before it is told so more rudely."""
 
 _libc = ctypes.CDLL(None)
 
@@ -65,12 +65,18 @@ def _fly(arguments: Sequence[str], lock: int) -> int:
         try:
             return process.wait()
         except BaseException:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(GRACE)
-            except subprocess.TimeoutExpired:
-                process.kill()
+            _end(process)
             raise
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """See that a flight ends, in order if it can: Ctrl-C has been heard by it, too."""
+    for harder in (process.terminate, process.kill):
+        try:
+            process.wait(GRACE)
+            return
+        except subprocess.TimeoutExpired:
+            harder()
 
 
 def _follow_parent() -> None:
