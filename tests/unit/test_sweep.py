@@ -20,11 +20,14 @@ from flock_sim.core.links.settings import FAULTS
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.perturbation import in_order
 from flock_sim.errors import FlockError
+from flock_sim.recording import recording
+from flock_sim.reference import row
 from flock_tools.figure_sweep import draw_sweep
 from flock_tools.sweep import tool
 from flock_tools.sweep_dataset import ATTRIBUTES, dataset, netcdf
 from flock_tools.sweep_directory import SweepDirectory
 from flock_tools.sweep_file import Sweep, sweep
+from flock_tools.sweep_flying import fly_all
 from flock_tools.sweep_members import MOST_RECORDS, record_every
 from unit.tool_runs import error_of
 
@@ -244,12 +247,12 @@ def test_another_sweep_is_refused_and_replaced_if_asked_for(tmp_path: Path) -> N
 
 def flown(swept: Sweep, directory: Path) -> xr.Dataset:
     """The dataset of a sweep that `reference` has flown, flight by flight."""
-    from flock_sim.reference import _integrate
-
     flights = swept.flights(5)
-    bags = [directory / str(flight.number) for flight in flights]
+    bags = [SweepDirectory(directory).bag(flight) for flight in flights]
     for flight, bag in zip(flights, bags, strict=True):
-        _integrate(flight.configuration, [], bag)
+        with recording(bag, flight.configuration, grants=False) as run:
+            for recorded in Monolith(flight.configuration).fly():
+                run.write_row(row(flight.configuration, recorded))
     return dataset(swept, flights, bags, "./flock sweep s.yaml")
 
 
@@ -289,6 +292,16 @@ def test_a_dataset_survives_netcdf_with_names_and_units_and_can_be_drawn(
     figure = draw_sweep(found, swept)
     figure.savefig(tmp_path / "sweep.png")
     assert len(figure.axes) >= 2
+
+
+def test_what_is_flown_is_not_flown_again_and_what_is_another_flight_is_refused(
+    tmp_path: Path,
+) -> None:
+    swept, directory = asked({"span_ratio[2]": [0.95, 1.0]}), SweepDirectory(tmp_path)
+    flown(swept, tmp_path)
+    assert fly_all(swept.flights(5), directory, ["--no-such-option"]) == 0
+    with pytest.raises(FlockError, match="is not what flight 1 of this sweep flies"):
+        fly_all(asked({"span_ratio[2]": [0.95, 1.01]}).flights(5), directory, [])
 
 
 def test_members_of_the_dataset_are_those_that_fly_alone(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ class SweepDirectory:
         if force and names:
             self._empty(names)
         elif PLAN_FILE in names:
-            if file.read_text(encoding="utf-8") == plan:
+            if file.read_text(encoding="utf-8", errors="replace") == plan:
                 return
             raise FlockError(
                 f"output {self.path} holds another sweep, or one with other --members-at-once "
