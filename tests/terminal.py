@@ -38,6 +38,7 @@ TOOLS = {
     "limits": "flock_tools.limits",
     "survey": "flock_tools.survey",
     "study": "flock_tools.study",
+    "sweep": "flock_tools.sweep",
 }
 
 DEADLINE = 120.0

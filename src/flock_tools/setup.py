@@ -24,6 +24,7 @@ setup(
             "limits=flock_tools.limits:main",
             "survey=flock_tools.survey:main",
             "study=flock_tools.study:main",
+            "sweep=flock_tools.sweep:main",
         ],
     },
 )

@@ -141,3 +141,14 @@ def test_birds_are_listed_in_words(birds: list[int], text: str) -> None:
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert error_of(tool, capsys, "--birds", "0") == "error: birds = 0: must be 1 or more\n"
     assert "unrecognized arguments: --bird 3" in error_of(tool, capsys, "--bird", "3")
+
+
+def test_a_steady_state_over_links_that_are_not_exact_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for link in ("hold", "exact:delay=3", "2->3=linear"):
+        error = error_of(tool, capsys, "--birds", "5", "--link", link)
+        assert f"links {link}: equilibrium solves the exact coupling" in error
+    assert json_of(tool, capsys, "--birds", "5", "--link", "exact") == json_of(
+        tool, capsys, "--birds", "5"
+    )

@@ -201,3 +201,15 @@ def test_a_scheduler_that_does_not_answer_is_one_line(capsys: pytest.CaptureFixt
 def test_what_is_no_address_is_one_line(address: str, capsys: pytest.CaptureFixture[str]) -> None:
     line = error_of(tool, capsys, "--method", "integrate", "--scheduler", address)
     assert "must be an address such as tcp://127.0.0.1:8786" in line
+
+
+@pytest.mark.parametrize("method", ["exact", "integrate"])
+def test_limits_over_links_that_are_not_exact_are_refused(
+    method: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flock = ("--birds", "3", "--method", method)
+    error = error_of(tool, capsys, *flock, "--link", "hold:interval=5")
+    assert "links hold:interval=5: limits solves the exact coupling" in error
+    if method == "exact":
+        calm, exact = (json_of(tool, capsys, *flock, *k) for k in ((), ("--link", "exact")))
+        assert exact["limits"] == calm["limits"]

@@ -156,3 +156,12 @@ def test_bad_input_is_one_line(
     arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert words in error_of(tool, capsys, *arguments)
+
+
+def test_a_survey_over_links_that_are_not_exact_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "flock.yaml"
+    file.write_text('/**:\n  ros__parameters:\n    links: ["linear:delay=2"]\n')
+    error = error_of(tool, capsys, "--config", str(file), "--samples", "10")
+    assert "links linear:delay=2: survey solves the exact coupling" in error

@@ -28,23 +28,29 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Return the parameters in `path`, unchecked. Raises FlockError if it is no parameter file."""
+def content(path: Path, called: str) -> Any:
+    """Return what the YAML file `path` holds; `called` says in complaints what file it is.
+
+    Raises FlockError if it can't be read, is not YAML, or gives a key twice.
+    """
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise FlockError(
-            f"configuration file {path}: {reason}; name a readable parameter file"
-        ) from error
+        raise FlockError(f"{called} {path}: {reason}; name a readable {called}") from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "cannot be read"
-        raise FlockError(f"configuration file {path}: not YAML{place} ({problem})") from error
-    if content is None:
+        raise FlockError(f"{called} {path}: not YAML{place} ({problem})") from error
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the parameters in `path`, unchecked. Raises FlockError if it is no parameter file."""
+    found = content(path, "configuration file")
+    if found is None:
         return {}
-    section = _only(path, content, SECTION)
+    section = _only(path, found, SECTION)
     parameters = _only(path, section, PARAMETERS)
     if parameters is None:
         return {}
@@ -62,12 +68,12 @@ def text(parameters: Mapping[str, Any]) -> str:
     return str(yaml.safe_dump({SECTION: {PARAMETERS: values}}, sort_keys=False))
 
 
-def _only(path: Path, content: Any, key: str) -> Any:
-    """Return the one entry that `content` must have."""
-    if not isinstance(content, dict):
+def _only(path: Path, found: Any, key: str) -> Any:
+    """Return the one entry that `found` must have."""
+    if not isinstance(found, dict):
         raise FlockError(f"configuration file {path}: must have a section `{key}:`")
-    for other in content:
+    for other in found:
         if other != key:
             hint = nearest(str(other), [key])
             raise FlockError(f"configuration file {path}: unknown section {other!r}: {hint}")
-    return content.get(key)
+    return found.get(key)

@@ -25,6 +25,7 @@ from flock_sim.core.metrics import plain
 from flock_sim.core.parting import opening_gap, parts
 from flock_sim.core.stability import ComplexArray, eigenvalues
 from flock_sim.summary import MOST_MEMBERS, row, wings
+from flock_tools.exact_links import check_links_exact
 
 MOST_WORK = 1e10
 """(2 birds)^3 times members up to which eigenvalues are computed: a minute or less."""
@@ -33,7 +34,7 @@ DESCRIPTION = """\
 Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
 state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
---dt, --t-max, --record-every, --perturb and --link have no say in it.
+--dt, --t-max, --record-every and --perturb have no say in it; links have to be exact.
 Exit status: 0, whatever the answer is; 2 bad input."""
 
 EXAMPLES = """\
@@ -115,7 +116,9 @@ def tool(arguments: Sequence[str]) -> int:
     add_flock_options(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
-    assessment = Assessment.of(flock_configuration(options))
+    configuration = flock_configuration(options)
+    check_links_exact(configuration, "equilibrium")
+    assessment = Assessment.of(configuration)
     if options.json:
         print_json(assessment.as_json())
     else:

@@ -32,6 +32,7 @@ from flock_sim.fly import TIMEOUT
 from flock_sim.progress import counter
 from flock_sim.warm import warm, warm_steady_states
 from flock_tools.ensemble import Ensembles
+from flock_tools.exact_links import check_links_exact
 from flock_tools.flown_limits import HowFlown, flown_limits
 from flock_tools.limits_report import as_json, described
 from flock_tools.picture_file import check_picture, write_picture
@@ -78,7 +79,7 @@ the homogeneous flock; bisection to --resolution.
 fly: the same protocol flown over ROS 2 by the birds' nodes: a grid of --points span ratios for each
 modified bird, all of them members of one flight; an end lies half way between two of them.
 Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate and fly; --perturb and --link have no say.
+integrate and fly; --perturb has no say; links have to be exact.
 An end that is not inside the searched interval is told so, and null in JSON.
 Exit status: 0, whatever the answer is; 1 a flight that failed; 2 bad input."""
 
@@ -254,6 +255,7 @@ def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -
 
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
+    check_links_exact(configuration, "limits")
     if configuration.birds < 2:
         raise FlockError(f"birds = {configuration.birds}: limits need a formation, of 2 or more")
     if configuration.members > 1:

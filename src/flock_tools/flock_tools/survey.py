@@ -25,6 +25,7 @@ from flock_sim.core.configuration import COUPLINGS, FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.progress import counter
 from flock_sim.warm import warm_steady_states
+from flock_tools.exact_links import check_links_exact
 from flock_tools.picture_file import check_picture, write_picture
 from flock_tools.population import LARGEST, SMALLEST, Distribution, Population, survey
 from flock_tools.workers import workers
@@ -164,7 +165,8 @@ def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
         )
     if sizes is None:
         sizes = SIZES if options.config is None else str(flock.birds)
-    # Steady states are those of flocks that nobody pushes and whose links are exact.
+    check_links_exact(flock, "survey")
+    # Steady states are those of flocks that nobody pushes.
     flock = replace(flock, perturbations=(), links=())
     return [replace(flock, birds=birds) for birds in whole_numbers("--birds", sizes, 2)]
 

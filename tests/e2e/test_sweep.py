@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One command, one dataset: each member as `reference` flies it alone, whoever is killed."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from flock_sim import reference
+from flock_sim.command_line import run_tool
+from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from terminal import Job, Terminal
+
+RATIOS, DELAYS = ("0.97", "1.0", "1.04"), ("0", "3")
+STEPS = 3000
+FILE = f"""\
+flock:
+  birds: 3
+  t_max: {STEPS}
+  record_every: 10
+  links: ["linear:interval=2,drop=0.2"]
+axes:
+  lambda_2: [{", ".join(RATIOS)}]
+  link.delay: [{", ".join(DELAYS)}]
+"""
+
+
+def last_step(bag: Path) -> int:
+    try:
+        return Run(bag).at().step
+    except FlockError:
+        return -1
+
+
+def started(terminal: Terminal) -> Job:
+    (terminal.directory / "s.yaml").write_text(FILE)
+    return terminal.start("sweep", "s.yaml", "--members-at-once", 3, "--json")
+
+
+def assert_members_are_those_of_the_reference(terminal: Terminal) -> None:
+    with xr.open_dataset(terminal.directory / "runs/s/sweep.nc", engine="scipy") as found:
+        assert dict(found.sizes) == {"span_ratio_2": 3, "link_delay": 2, "bird": 3, "gap": 2}
+        for (i, ratio), (j, delay) in itertools.product(enumerate(RATIOS), enumerate(DELAYS)):
+            bag = terminal.directory / f"{i}{j}"
+            flock = ["--birds", "3", "--t-max", str(STEPS), "--record-every", "10"]
+            link = ["--link", f"linear:interval=2,drop=0.2,delay={delay}"]
+            ratios = ["--span-ratio", f"2={ratio}"]
+            assert run_tool(reference.tool, [*flock, *ratios, *link, "--output", str(bag)]) == 0
+            with Run(bag) as run:
+                end, metrics = run.at(), run.metrics()
+            member = found.isel(span_ratio_2=i, link_delay=j)
+            assert (member.span_ratio_2, member.link_delay) == (float(ratio), float(delay))
+            assert np.array_equal(member.position, end.position[:, 0])
+            assert np.array_equal(member.speed, end.speed[:, 0])
+            for name in ("mean_speed", "speed_std", "spacing", "drag_reduction"):
+                assert np.array_equal(member[name], getattr(metrics, name)[0]), name
+            assert bool(member.holds) == metrics.stable[0]
+
+
+def kill(job: Job) -> None:
+    os.kill(job.process.pid, signal.SIGKILL)
+    job.wait()
+
+
+def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Terminal) -> None:
+    runs = terminal.directory / "runs/s"
+    job = started(terminal)
+    job.until(lambda: job.workers("flock_sim.fly"))
+    kill(job)
+
+    job = started(terminal)
+    job.until(lambda: last_step(runs / "flight_02") > 0)
+    first = (runs / "flight_01" / "flight_01_0.mcap").stat()
+    kill(job)
+    assert not (runs / "sweep.nc").exists()
+
+    done = started(terminal).wait()
+    assert done.status == 0, done.stderr
+    assert done.json["members"] == 6
+    assert (done.json["flights"], done.json["flights_flown"]) == (2, 1)
+    assert "going on with runs/s/flight_02" in done.stderr
+    assert (runs / "flight_01" / "flight_01_0.mcap").stat().st_mtime_ns == first.st_mtime_ns
+    assert (runs / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    assert_members_are_those_of_the_reference(terminal)
