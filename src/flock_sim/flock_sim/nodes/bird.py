@@ -192,7 +192,7 @@ def work(process: Process) -> None:
             )
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
-        birds = hatch(indices, configuration, operation["run_id"], process.context, services=alone)
+        birds = hatch(indices, configuration, operation["run_id"], executor, services=alone)
         if alone:
             operation = {**operation, "index": indices[0]}
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
@@ -205,18 +205,20 @@ def hatch(
     indices: Iterable[int],
     configuration: FlockConfiguration,
     run_id: int,
-    context: Context,
+    executor: Executor,
     *,
     kind: Callable[..., BirdNode] = BirdNode,
     services: bool = False,
 ) -> list[BirdNode]:
-    """Return the birds `indices` of one process, nodes of a `kind`."""
+    """Return the birds `indices` of one process, nodes of a `kind` that `executor` serves."""
     birds: list[BirdNode] = []
     for index in indices:
         first = birds[0] if birds else None
-        birds.append(
-            kind(index, configuration, run_id, context=context, services=services, first=first)
+        bird = kind(
+            index, configuration, run_id, context=executor.context, services=services, first=first
         )
+        executor.add_node(bird)
+        birds.append(bird)
     return birds
 
 
@@ -227,8 +229,6 @@ def fly_together(
 
     Raises RunFailed when `patience` runs out.
     """
-    for bird in birds:
-        executor.add_node(bird)
     announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
 
     def look_around() -> bool:
