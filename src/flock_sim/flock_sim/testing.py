@@ -138,7 +138,7 @@ def _fly(
         recorder = RecorderNode(configuration, run, run_id, False, context=context)
         of_recorder.add_node(recorder)
         indices = range(1, configuration.birds + 1)
-        birds = hatch(indices, configuration, run_id, context, kind=bird)
+        birds = hatch(indices, configuration, run_id, of_birds, kind=bird)
 
         def patience() -> Patience:
             return Patience(timeout + PATIENCE_OF_OTHERS, lambda line: None)

@@ -218,12 +218,7 @@ def work(process: Process) -> None:
         alone = len(indices) == 1
         kind, keep = _free(process) if operation["real_time_factor"] else _lockstep(watch)
         birds = hatch(
-            indices,
-            configuration,
-            operation["run_id"],
-            process.context,
-            kind=kind,
-            services=alone,
+            indices, configuration, operation["run_id"], executor, kind=kind, services=alone
         )
         if alone:
             operation = {**operation, "index": indices[0]}
@@ -257,18 +252,20 @@ def hatch(
     indices: Iterable[int],
     configuration: FlockConfiguration,
     run_id: int,
-    context: Context,
+    executor: Executor,
     *,
     kind: Callable[..., BirdNode] = BirdNode,
     services: bool = False,
 ) -> list[BirdNode]:
-    """Return the birds `indices` of one process, nodes of a `kind`."""
+    """Return the birds `indices` of one process, nodes of a `kind` that `executor` serves."""
     birds: list[BirdNode] = []
     for index in indices:
         first = birds[0] if birds else None
-        birds.append(
-            kind(index, configuration, run_id, context=context, services=services, first=first)
+        bird = kind(
+            index, configuration, run_id, context=executor.context, services=services, first=first
         )
+        executor.add_node(bird)
+        birds.append(bird)
     return birds
 
 
@@ -283,8 +280,6 @@ def fly_together(
 
     Raises RunFailed when `patience` runs out.
     """
-    for bird in birds:
-        executor.add_node(bird)
     announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
 
     def look_around() -> bool:
