@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bags import last_step
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.flock import Flock
 from flock_sim.core.kernel import FloatArray
@@ -94,9 +95,8 @@ def test_a_free_flight_is_recorded_and_measured_and_near_the_lockstep_one(
 
 
 def test_who_is_killed_ends_a_free_flight(terminal: Terminal) -> None:
-    job = terminal.start("fly", *FLOCK, *FREE, 0.1, "--output", "bag")
-    bag = terminal.directory / "bag"
-    job.until(lambda: bag.is_dir() and len(job.workers(BIRD)) == 1)
+    job = terminal.start("fly", *FLOCK, *FREE, 0.3, "--output", "bag")
+    job.until(lambda: last_step(terminal.directory / "bag") >= 0)
     os.kill(job.workers(BIRD)[0], signal.SIGKILL)
     done = job.wait()
     assert done.status == 1

@@ -211,3 +211,16 @@ def test_clock_and_recorder_tell_how_they_are(terminal: Terminal, visitor: Visit
     assert recorder.message == f"step {saved} of {STEPS} is on disk"
     trigger(visitor, "stop")
     assert job.wait().status == 0
+
+
+def test_birds_that_fly_freely_are_neither_held_nor_pushed(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    job = in_flight(terminal, "--mode", "free", "--real-time-factor", 5)
+    for kind, name in ((Trigger, "pause"), (Trigger, "stop"), (Step, "step"), (Perturb, "perturb")):
+        answer = visitor.ask(kind, f"/flock/clock/{name}")
+        assert not answer.success
+        assert "free flight" in answer.message
+    job.interrupt()
+    assert job.wait().status == 130
+    terminal.well("metrics", "bag", "--json")
