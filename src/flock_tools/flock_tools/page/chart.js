@@ -188,8 +188,12 @@ function mark(context, shape, x, y) {
   context.beginPath();
   if (shape % 4 === 0) context.arc(x, y, 3.5, 0, 2 * Math.PI);
   if (shape % 4 === 1) context.rect(x - 3.5, y - 3.5, 7, 7);
-  if (shape % 4 === 2) [[-4, -4, 4, 4], [-4, 4, 4, -4]].forEach(([a, b, c, d]) => { context.moveTo(x + a, y + b); context.lineTo(x + c, y + d); });
-  if (shape % 4 === 3) { context.moveTo(x, y - 4.5); context.lineTo(x + 4, y + 3.5); context.lineTo(x - 4, y + 3.5); context.closePath(); }
+  const moves = { 2: [[-4, -4], [4, 4], null, [-4, 4], [4, -4]], 3: [[0, -4.5], [4, 3.5], [-4, 3.5], [0, -4.5]] };
+  let down = false;
+  for (const move of moves[shape % 4] || []) {
+    if (move) context[down ? "lineTo" : "moveTo"](x + move[0], y + move[1]);
+    down = move !== null;
+  }
   context.stroke();
 }
 

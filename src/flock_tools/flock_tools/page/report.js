@@ -28,7 +28,8 @@ function drawRuns(id, factor, log, rules) {
   chart(id, { lines, log, rules, what: `time (b/U_min)${legend()}`, wide: span() });
   table(id, ["run", "at the start", "least", "largest"],
     lines.map((line, r) => [data.runs[r].name, told(line.y[0]), ...bounds(line.y).map((value) => told(value))]));
-  say(id, `${lines.length === 1 ? "A curve" : `Curves of ${lines.length} runs`} against time; the table below has their numbers.`);
+  const what = lines.length === 1 ? "A curve" : `Curves of ${lines.length} runs`;
+  say(id, `${what} against time; the table below has the numbers.`);
 }
 
 const span = () => [0, Math.max(...data.runs.map((each) => each.t_final)) || 1];
@@ -46,7 +47,8 @@ function drawProfile() {
   table("profile", ["gap", ...data.runs.map((each) => `flown: ${each.name}`), "exact", "linear law"],
     gaps.map((gap, k) => [gap, ...flown.map((y) => told(y[k])), told(steady[k]), told(linear[k])]));
   const off = Math.max(...flown[chosen.run].map((value, k) => Math.abs(value - steady[k])));
-  say("profile", `Spacings of ${gaps.length} gaps as flown and in theory; the largest distance of the chosen run from the exact state is ${told(off, 3)} b.`);
+  say("profile", `Spacings of ${gaps.length} gaps as flown and in theory. ` +
+    `The largest distance of the chosen run from the exact state is ${told(off, 3)} b.`);
 }
 
 function drawEigenvalues() {
@@ -66,10 +68,11 @@ function formationOf(each, frame) {
   const start = range(count).map((i) => series(each.frame_position, member, i)[0]);
   const known = along.filter(Number.isFinite).sort((a, b) => a - b);
   const middle = known.length ? known[known.length >> 1] : 0;
-  const depth = Math.max(...start) - Math.min(...start) + 3;
+  const depth = bounds(start)[1] - bounds(start)[0] + 3;
   const origin = Math.abs(middle) > depth ? middle : 0;
   const saved = range(count).map((i) => 100 * at(each.frame_drag_reduction, i));
-  return { along: along.map((x) => x - origin), across: row(each.lateral, member), ratio: row(each.span_ratio, member), start, depth, saved };
+  const across = row(each.lateral, member), ratio = row(each.span_ratio, member);
+  return { along: along.map((x) => x - origin), across, ratio, start, depth, saved };
 }
 
 function drawFormation() {
@@ -80,7 +83,7 @@ function drawFormation() {
   const bird = (across, along, ratio) => {
     context.beginPath();
     for (const [x, y] of OUTLINE) {
-      context.lineTo(width / 2 + scale * (across + ratio * x), scale * (top - along - Math.max(ratio, 1.5 / scale) * y * 1.4));
+      context.lineTo(width / 2 + scale * (across + ratio * x), scale * (top - along - 1.4 * ratio * y));
     }
     context.closePath();
   };
@@ -108,11 +111,13 @@ function drawFormation() {
     if (each.birds <= 45) context.stroke();
   });
   const away = range(each.birds).filter((i) => !(scene.along[i] >= bottom && scene.along[i] <= top));
-  element("away").textContent = away.length ? `Not in the picture: bird ${away.slice(0, 8).map((i) => `${i + 1} at ${told(scene.along[i], 4)} b`).join(", ")}${away.length > 8 ? ", ..." : ""}` : "";
+  const places = away.slice(0, 8).map((i) => `${i + 1} at ${told(scene.along[i], 4)} b`).join(", ");
+  element("away").textContent = away.length ? `Not in the picture: bird ${places}${away.length > 8 ? ", ..." : ""}` : "";
   element("now").textContent = `t = ${told(time, 5)}`;
   element("time").setAttribute("aria-valuetext", `t = ${told(time, 5)}`);
   const depth = bounds(scene.along);
-  say("formation", `${each.birds} birds from above at t = ${told(time, 5)}; from the first to the last they are ${told(depth[1] - depth[0], 4)} b apart along the flight.`);
+  say("formation", `${each.birds} birds from above at t = ${told(time, 5)}; ` +
+    `from the first to the last they are ${told(depth[1] - depth[0], 4)} b apart along the flight.`);
   table("formation", ["bird", "lateral (b)", "along the flight (b)", "drag saved (%)"],
     range(each.birds).map((i) => [i + 1, told(scene.across[i], 5), told(scene.along[i], 5), told(scene.saved[i], 4)]));
   document.querySelectorAll(".cursor").forEach((cursor) => {
