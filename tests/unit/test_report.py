@@ -180,9 +180,27 @@ def test_theory_is_the_linear_law_for_equal_birds(tmp_path: Path) -> None:
     (run,) = reported(path, output=tmp_path / "a.html").data["runs"]
     linear, steady = unpacked(run["linear_spacing"]), unpacked(run["steady_spacing"])
     assert np.isfinite(steady).all()
-    # Both solve for a spacing to some 1e-15, and are written as 32-bit floats.
+    # Both solve for a spacing to some 1e-15 b, and are written as 32-bit floats.
     np.testing.assert_allclose(steady, linear, rtol=2e-7, atol=1e-7)
     assert unpacked(run["eigen_real"]).shape == (13, 1)
+
+
+def test_a_flock_whose_leader_is_nowhere_is_still_shown(tmp_path: Path) -> None:
+    path = record(
+        tmp_path / "run",
+        FlockConfiguration(birds=5, t_max=50.0),
+        lambda bird, state: (
+            replace(state, position=state.position * np.nan, speed=state.speed * np.inf)
+            if bird == 3 and state.step > 0
+            else state
+        ),
+    )
+    page = reported(path, output=tmp_path / "a.html")
+    assert "does not hold together" in page.text
+    last = unpacked(page.data["runs"][0]["frame_position"])[-1, :, 0]
+    position = load(path).position.to_numpy()[-1, :, 0]
+    np.testing.assert_array_equal(last, (position - position[0]).astype("<f4"))
+    assert np.isfinite(last).tolist() == [True, True, False, True, True]
 
 
 def test_markup_in_what_was_recorded_is_text(

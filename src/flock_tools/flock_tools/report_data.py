@@ -88,7 +88,10 @@ class History:
     frame_time: FloatArray
     """Shape (frames,), in b / U_min."""
     frame_position: FloatArray
-    """x_i from the leader, shape (frames, birds, members), in b."""
+    """x_i from the leader, shape (frames, birds, members), in b.
+
+    From the first bird that has a position where the leader has none.
+    """
     frame_drag_reduction: FloatArray
     """eta_i, shape (frames, birds, members)."""
 
@@ -175,8 +178,7 @@ def history(
                 speed.std(axis=1, keepdims=True),
                 reduction.mean(axis=1, keepdims=True),
             ]
-            leader = int(data.attrs["leader"]) - 1
-            relative = position - position[:, leader : leader + 1]
+            relative = position - _origin(position, int(data.attrs["leader"]) - 1)
         times.append(data.time.to_numpy())
         curves.append([extremes(values, width) for values in series])
         here = frames[(frames >= first) & (frames < end)] - first
@@ -189,6 +191,16 @@ def history(
         *(np.concatenate(parts) for parts in zip(*curves, strict=True)),
         *(np.concatenate(parts) for parts in zip(*moments, strict=True)),
     )
+
+
+def _origin(position: FloatArray, leader: int) -> FloatArray:
+    """Return where positions are told from: of shape (rows, birds, members), (rows, 1, members).
+
+    That is the bird with the index `leader` or, where that has none, the first that has a position.
+    """
+    first = np.isfinite(position).argmax(axis=1, keepdims=True)
+    led = position[:, leader : leader + 1]
+    return np.where(np.isfinite(led), led, np.take_along_axis(position, first, axis=1))
 
 
 def _parts(configuration: FlockConfiguration, rows: int, width: int) -> Iterator[tuple[int, int]]:

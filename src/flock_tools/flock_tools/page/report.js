@@ -25,7 +25,7 @@ function drawRuns(id, factor, log, rules) {
     const y = series(each[id], memberOf(each), 0).map((value, k) => (log && time[k] <= 0 ? NaN : factor * value));
     return { x: time, y, ...runStyle(r) };
   });
-  chart(id, { lines, log, rules, what: `time (b/U_min)${legend()}`, wide: span() });
+  chart(id, { lines, log, rules, what: "time (b/U_min)", wide: span() });
   table(id, ["run", "at the start", "least", "largest"],
     lines.map((line, r) => [data.runs[r].name, told(line.y[0]), ...bounds(line.y).map((value) => told(value))]));
   const what = lines.length === 1 ? "A curve" : `Curves of ${lines.length} runs`;
@@ -33,7 +33,6 @@ function drawRuns(id, factor, log, rules) {
 }
 
 const span = () => [0, Math.max(...data.runs.map((each) => each.t_final)) || 1];
-const legend = () => (data.runs.length > 1 ? "; runs by colour and dash, in the order of the table" : "");
 
 function drawProfile() {
   const gaps = range(run().birds - 1).map((k) => k + 1), head = run().leader - 1;
@@ -118,7 +117,7 @@ function drawFormation() {
   const depth = bounds(scene.along);
   say("formation", `${each.birds} birds from above at t = ${told(time, 5)}; ` +
     `from the first to the last they are ${told(depth[1] - depth[0], 4)} b apart along the flight.`);
-  table("formation", ["bird", "lateral (b)", "along the flight (b)", "drag saved (%)"],
+  if (timer === null) table("formation", ["bird", "lateral (b)", "along the flight (b)", "drag saved (%)"],
     range(each.birds).map((i) => [i + 1, told(scene.across[i], 5), told(scene.along[i], 5), told(scene.saved[i], 4)]));
   document.querySelectorAll(".cursor").forEach((cursor) => {
     const canvas = cursor.previousElementSibling;
@@ -167,7 +166,10 @@ function play(on) {
   clearInterval(timer);
   timer = null;
   element("play").textContent = on ? "Pause" : "Play";
-  if (!on) return;
+  if (!on) {
+    drawFormation();
+    return;
+  }
   if (chosen.frame === run().frame_time.shape[0] - 1) show(0);
   timer = setInterval(() => {
     show(chosen.frame + 1);
@@ -176,6 +178,13 @@ function play(on) {
   }, 50);
 }
 
+if (data.runs.length > 1) {
+  data.runs.forEach((each, r) => {
+    const name = element("legend").appendChild(document.createElement("span"));
+    name.style.borderColor = runStyle(r).colour;
+    name.textContent = `${"\u25cf\u25a0\u2715\u25b2"[r % 4]} ${each.name}`;
+  });
+}
 options(element("run"), data.runs.map((each) => each.name));
 element("run").addEventListener("change", (event) => { play(false); chooseRun(Number(event.target.value)); });
 element("member").addEventListener("change", (event) => { chosen.member = Number(event.target.value); drawAll(); });
