@@ -6,11 +6,13 @@
 setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
 	@tools/setup
 
-demo: setup  ## fly 13 geese over ROS 2 to their steady state, record and measure them
+demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure and report on them
 	@./flock fly --output runs/demo --force
 	@./flock picture runs/demo
+	@./flock report runs/demo
 	@echo
-	@echo "The bag is runs/demo, the picture of the formation is in it. The same flight without ROS, to the bit:"
+	@echo "The bag is runs/demo, with the picture of the formation and the report in it: open runs/demo/report.html"
+	@echo "in a browser. The same flight without ROS, to the bit:"
 	@echo "  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"
 
 test: setup  ## run all tests

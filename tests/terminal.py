@@ -32,6 +32,7 @@ TOOLS = {
     "metrics": "flock_tools.metrics",
     "compare": "flock_tools.compare",
     "picture": "flock_tools.picture",
+    "report": "flock_tools.report",
     "figures": "flock_tools.figures",
     "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",

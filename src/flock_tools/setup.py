@@ -9,6 +9,7 @@ setup(
     maintainer_email="flock@example.org",
     license="Apache-2.0",
     packages=find_packages(),
+    package_data={"flock_tools": ["page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_tools"]),
         ("share/flock_tools", ["package.xml"]),
@@ -18,6 +19,7 @@ setup(
             "metrics=flock_tools.metrics:main",
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
+            "report=flock_tools.report:main",
             "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",

@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from flock_sim import fly, reference
 from flock_sim.command_line import run_tool
-from flock_tools import compare, metrics, picture
+from flock_tools import compare, metrics, picture, report
 from terminal import Terminal, own_domain
 
 Tool = Callable[[list[str]], int]
@@ -29,6 +29,7 @@ TOOLS = {
     "metrics": metrics.tool,
     "compare": compare.tool,
     "picture": picture.tool,
+    "report": report.tool,
 }
 
 FLOCK = [
@@ -290,6 +291,8 @@ def ways(bag: Path, own: Path) -> list[tuple[str, list[str]]]:
         ("metrics", [str(bag)]),
         ("metrics", [str(bag), "--json"]),
         ("picture", [str(bag)]),
+        ("report", [str(bag)]),
+        ("report", [str(own), str(bag), "--json"]),
         ("compare", [str(bag), str(own)]),
         ("compare", [str(own), str(bag), "--json"]),
     ]

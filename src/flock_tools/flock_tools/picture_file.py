@@ -6,12 +6,12 @@ Matplotlib takes half a second to import: only what draws waits for it.
 
 from __future__ import annotations
 
-import os
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flock_sim.errors import FlockError
+from flock_tools.output_file import check_output, write_output
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,22 +28,14 @@ def check_picture(output: Path | None) -> None:
     if output is None:
         return
     _format(output)
-    if output.is_dir():
-        raise FlockError(f"--output {output}: is a directory; name a file in it")
-    if not output.parent.is_dir():
-        raise FlockError(f"--output {output}: can't be written: {output.parent} is no directory")
-    if not os.access(output if output.exists() else output.parent, os.W_OK):
-        raise FlockError(f"--output {output}: can't be written: Permission denied")
+    check_output(output)
 
 
 def write_picture(figure: Figure, output: Path) -> None:
     """Write `figure` in the format that the name ends in. Raises FlockError where it can't be."""
     picture = BytesIO()
     figure.savefig(picture, dpi=RESOLUTION, format=_format(output))
-    try:
-        output.write_bytes(picture.getbuffer())
-    except OSError as error:
-        raise FlockError(f"--output {output}: can't be written: {error.strerror}") from error
+    write_output(output, picture.getbuffer())
 
 
 def _format(output: Path) -> str:

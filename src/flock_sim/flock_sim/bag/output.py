@@ -12,6 +12,9 @@ from flock_sim.errors import FlockError
 PICTURE_FILE = "formation.png"
 """The picture that may lie beside a bag."""
 
+REPORT_FILE = "report.html"
+"""The report that may."""
+
 
 def claim_output(path: str | Path, force: bool) -> None:
     """Make `path` an empty directory, for `BagWriter` to fill; its parents are made too.
@@ -50,9 +53,9 @@ def _make(directory: Path) -> None:
 
 
 def _of_a_bag(name: str) -> bool:
-    """Whether a bag's directory, and the pictures drawn into it, may have a file of this name."""
+    """Whether a bag's directory, and what is drawn into it, may have a file of this name."""
     return (
-        name in (METADATA_FILE, PART_FILE, RESERVE_FILE, PICTURE_FILE)
+        name in (METADATA_FILE, PART_FILE, RESERVE_FILE, PICTURE_FILE, REPORT_FILE)
         or Path(name).suffix == ".mcap"
     )
 

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a report: one HTML file that needs nothing else and asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader
+from markupsafe import Markup
+
+from flock_sim import __version__
+from flock_sim.core.kernel import FloatArray
+from flock_sim.core.metrics import STABLE_BELOW
+from flock_tools.report_data import Reported
+
+PAGE = Path(__file__).parent / "page"
+
+SCRIPTS = ("chart.js", "report.js")
+"""What draws the pictures, in the order in which it is read."""
+
+MOST_ROWS = 500
+"""Members of all runs whose key numbers are listed."""
+
+COLUMNS = (
+    "run",
+    "verdict",
+    "mean speed (U_min)",
+    "spread sigma_U (U_min)",
+    "drag saved (%)",
+    "spacing falls towards the leader",
+    "off the linear law",
+    "steady speed U* (U_min)",
+    "drag saved in steady state (%)",
+    "leading eigenvalue (U_min/b)",
+    "recorded to t (b/U_min)",
+)
+
+
+def page(runs: Sequence[Reported]) -> bytes:
+    """Return the HTML of a report on `runs`, all of as many birds; the same runs, the same bytes.
+
+    All that was read from bags is shown as text: the template escapes it, and the embedded data is
+    JSON without `<`. Only scripts with the digest in the page's own policy can run, and nothing
+    can be asked of a network.
+    """
+    script = "\n" + "\n".join((PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
+    text = environment.get_template("report.html").render(
+        title=" and ".join(run.name for run in runs),
+        verdicts=[_verdict(run, len(runs) > 1) for run in runs],
+        warnings=[run.missing for run in runs if run.missing],
+        columns=COLUMNS,
+        rows=_rows(runs),
+        remarks=_remarks(runs),
+        names=[run.name for run in runs],
+        configuration=_configuration(runs),
+        provenance=[{"name": run.name, "facts": _provenance(run)} for run in runs],
+        decimation=" ".join(_decimation(run, len(runs) > 1) for run in runs),
+        versions=f"Flock {__version__} with Python {platform.python_version()} "
+        f"and NumPy {np.__version__}",
+        style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),
+        script=Markup(script),
+        script_hash=f"sha256-{digest}",
+        data={"stable_below": STABLE_BELOW, "runs": [_embedded(run) for run in runs]},
+    )
+    # A path may hold bytes that are no text.
+    return text.encode("utf-8", "backslashreplace")
+
+
+def packed(values: FloatArray) -> dict[str, Any]:
+    """Return an array with its members first, as `chart.js` reads it: base64 of 32-bit floats.
+
+    `values` has shape (points, series, members) or (series, members); that of the result is turned
+    round: [members, series, points] or [members, series].
+    """
+    turned = values.T
+    with np.errstate(over="ignore"):
+        numbers = np.ascontiguousarray(turned, dtype="<f4")
+    return {
+        "shape": list(turned.shape),
+        "values": base64.b64encode(numbers.tobytes()).decode("ascii"),
+    }
+
+
+def _embedded(run: Reported) -> dict[str, Any]:
+    """Return what the script draws of a run."""
+    history, metrics = run.history, run.metrics
+    members = history.speed.shape[2]
+    gaps = (metrics.birds - 1, members)
+    steady, eigen = np.full(gaps, np.nan), np.zeros((0, members), dtype=complex)
+    assessment = run.theory.assessment
+    if assessment is not None:
+        steady = assessment.state.spacing[:, :members]
+        if assessment.eigenvalues is not None:
+            eigen = assessment.eigenvalues[:members].T
+    arrays = {
+        "time": history.time,
+        "speed": history.speed,
+        "spacing": history.spacing,
+        "drag_reduction": history.drag_reduction,
+        "speed_std": history.speed_std,
+        "mean_drag_reduction": history.mean_drag_reduction,
+        "frame_time": history.frame_time,
+        "frame_position": history.frame_position,
+        "frame_drag_reduction": history.frame_drag_reduction,
+        "lateral": metrics.lateral[:members].T,
+        "span_ratio": run.configuration.span_ratio[:, :members],
+        "final_spacing": metrics.spacing[:members].T,
+        "steady_spacing": steady,
+        "linear_spacing": run.theory.linear[:, :members],
+        "eigen_real": eigen.real,
+        "eigen_imag": eigen.imag,
+    }
+    return {
+        "name": run.name,
+        "birds": metrics.birds,
+        "leader": metrics.leader,
+        "members": members,
+        "member_names": [f": {_member(run, m)}" if _member(run, m) else "" for m in range(members)],
+        "t_final": metrics.t_final,
+        **{name: packed(values) for name, values in arrays.items()},
+    }
+
+
+def _member(run: Reported, m: int) -> str:
+    """Return in what a member differs from the others in span; empty where it does not."""
+    ratio = run.configuration.span_ratio
+    odd = np.flatnonzero(np.ptp(ratio, axis=1) > 0.0)
+    return ", ".join(f"lambda_{bird + 1} = {ratio[bird, m]:g}" for bird in odd[:3])
+
+
+def _verdict(run: Reported, named: bool) -> str:
+    stable = run.metrics.stable
+    if len(stable) > 1:
+        what = f"{sum(stable)} of {len(stable)} members hold together"
+    else:
+        what = "holds together" if stable[0] else "does not hold together"
+    birds = f"{run.metrics.birds} bird{'s' * (run.metrics.birds > 1)}"
+    flock = f"{birds}, {run.configuration.coupling} coupling: {what} at t = {run.metrics.t_final:g}"
+    return f"{run.name}: {flock}" if named else flock
+
+
+def _rows(runs: Sequence[Reported]) -> list[list[str]]:
+    """Return the key numbers of every member of every run, as text, in the order of COLUMNS."""
+    places = [(run, m) for run in runs for m in range(run.metrics.members)]
+    return [_row(run, m) for run, m in places[:MOST_ROWS]]
+
+
+def _row(run: Reported, m: int) -> list[str]:
+    metrics, assessment = run.metrics, run.theory.assessment
+    name = run.name if metrics.members == 1 else f"{run.name}, member {m + 1}"
+    error = metrics.profile_error[m]
+    ordered = ("yes" if metrics.hierarchical[m] else "no") if metrics.leader > 2 else "-"
+    cells = [
+        name,
+        "holds together" if metrics.stable[m] else "does not hold together",
+        f"{metrics.mean_speed[m]:.9f}",
+        f"{metrics.speed_std[m]:.3e}",
+        f"{100.0 * metrics.mean_drag_reduction[m]:.2f}",
+        ordered,
+        "-" if error is None else f"{error:.1e}",
+    ]
+    if assessment is None or not assessment.state.exists[m]:
+        cells += ["none" if assessment is not None else "not found", "-", "-"]
+    else:
+        leading = assessment.leading_eigenvalue[m]
+        swing = f" \N{PLUS-MINUS SIGN} {abs(leading.imag):.4e} i" if leading.imag else ""
+        cells += [
+            f"{assessment.state.speed[m]:.9f}",
+            f"{100.0 * assessment.state.drag_reduction[:, m].mean():.2f}",
+            "not computed" if np.isnan(leading) else f"{leading.real:.4e}{swing}",
+        ]
+    return [*cells, f"{metrics.t_final:g}"]
+
+
+def _remarks(runs: Sequence[Reported]) -> list[str]:
+    """Return what must be said of the key numbers."""
+    remarks = [f"{run.name}: {run.theory.note}" for run in runs if run.theory.note]
+    members = sum(run.metrics.members for run in runs)
+    if members > MOST_ROWS:
+        remarks.append(f"The first {MOST_ROWS} of {members} members are listed.")
+    for run in runs:
+        shown = run.history.speed.shape[2]
+        if shown < run.metrics.members:
+            remarks.append(
+                f"{run.name}: pictures are of the first {shown} of {run.metrics.members} members; "
+                "more would not fit in one file."
+            )
+    return remarks
+
+
+def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]]:
+    """Return key, the value of each run, and whether they differ."""
+    parameters = [run.configuration.parameters() for run in runs]
+    table = []
+    for key in parameters[0]:
+        values = [_value(each[key]) for each in parameters]
+        table.append((key, values, len(set(values)) > 1))
+    return table
+
+
+def _value(value: object) -> str:
+    if isinstance(value, list):
+        return "; ".join(value) or "none"
+    return str(value)
+
+
+def _provenance(run: Reported) -> list[tuple[str, str]]:
+    again = f"./flock reference --repeat {shlex.quote(run.name)}"
+    return [
+        ("flown by", f"Flock {run.flock_version}"),
+        ("command", f"not recorded in a bag; {again} flies it again"),
+        *[("file", f"{name}, {size} bytes") for name, size, _ in run.files],
+        *[("SHA-256", digest) for _, _, digest in run.files],
+        ("pushes in flight", "; ".join(run.pushes) or "none"),
+        ("complete", run.missing or "yes"),
+    ]
+
+
+def _decimation(run: Reported, named: bool) -> str:
+    """Return what became of the rows of the bag on the way to the pictures."""
+    history = run.history
+    curves = f"Curves go through all {history.rows} rows that were recorded"
+    if history.width > 1:
+        curves = (
+            f"Of the {history.rows} rows that were recorded, curves have the least and the largest "
+            f"value of every {history.width}, in the order in which they came: no peak is lost, "
+            "only when within these rows it was"
+        )
+    who = f"{run.name}: " if named else ""
+    return f"{who}{curves}. The formation is shown at {len(history.frame_time)} of them."
+
+
+def key_numbers(run: Reported) -> dict[str, Any]:
+    """Return what `--json` tells of a run; lists have one entry a member."""
+    metrics, assessment = run.metrics, run.theory.assessment
+    leading = [] if assessment is None else assessment.leading_eigenvalue
+    return {
+        "run": run.name,
+        "missing": run.missing,
+        "t_final": metrics.t_final,
+        "members": metrics.members,
+        "members_drawn": run.history.speed.shape[2],
+        "stable": metrics.stable,
+        "mean_speed": metrics.mean_speed,
+        "speed_std": metrics.speed_std,
+        "mean_drag_reduction": metrics.mean_drag_reduction,
+        "hierarchical": metrics.hierarchical,
+        "profile_error": metrics.profile_error,
+        "steady_speed": None if assessment is None else assessment.state.speed,
+        "leading_eigenvalue": [[value.real, value.imag] for value in leading],
+        "rows": run.history.rows,
+        "sha256": [digest for _, _, digest in run.files],
+    }

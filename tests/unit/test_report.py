@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A report shows what the bag holds, keeps every extreme, and takes nothing in it for markup."""
+
+import base64
+import hashlib
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from flock_sim import recording
+from flock_sim.bag.output import claim_output
+from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.run import Run
+from flock_tools import report_data
+from flock_tools.dataset import load
+from flock_tools.decimation import bucket_width, ends, extremes, frame_rows
+from flock_tools.report import tool
+from flock_tools.report_data import MOST_NUMBERS, Room
+from flock_tools.report_page import PAGE, SCRIPTS
+from unit.flights import record
+from unit.tool_runs import error_of, json_of, text_of
+
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>{{ 7 * 7 }}"
+CONFIGURATION = FlockConfiguration(
+    birds=5, t_max=200.0, record_every=1, span_ratios=("2=1.0,1.04,0.97",)
+)
+
+
+class Page(HTMLParser):
+    """What a browser makes of a page: its tags, its scripts, its text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self._open = ""
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._open = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._open = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._open == "script":
+            self.scripts[-1] += data
+        elif self._open != "style":
+            self.text += data
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What the script reads."""
+        value = json.loads(self.scripts[0], parse_constant=pytest.fail)
+        assert isinstance(value, dict)
+        return value
+
+
+def unpacked(array: dict[str, Any]) -> np.ndarray:
+    """Return an array with its members last again."""
+    numbers = np.frombuffer(base64.b64decode(array["values"]), dtype="<f4")
+    return numbers.reshape(array["shape"]).T
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("flight") / "run", CONFIGURATION)
+
+
+def reported(*runs: Path, output: Path) -> Page:
+    assert tool([*map(str, runs), "--output", str(output)]) == 0
+    assert output.stat().st_size < 6e6
+    return Page(output.read_text(encoding="utf-8"))
+
+
+@given(
+    values=arrays(
+        np.float64,
+        array_shapes(min_dims=1, max_dims=3, max_side=40),
+        elements=st.floats(allow_nan=True, allow_infinity=True),
+    ),
+    most=st.integers(1, 12),
+)
+def test_every_bucket_keeps_its_extremes_in_their_order(values: np.ndarray, most: int) -> None:
+    width = bucket_width(len(values), most)
+    kept = extremes(values, width)
+    known = np.where(np.isfinite(values), values, np.nan)
+    if width == 1:
+        np.testing.assert_array_equal(kept, known)
+        return
+    assert len(kept) == 2 * -(-len(values) // width) <= 2 * most
+    for k, first in enumerate(range(0, len(values), width)):
+        bucket = known[first : first + width].reshape(min(width, len(values) - first), -1)
+        pair = kept[2 * k : 2 * k + 2].reshape(2, -1)
+        for column, (one, other) in zip(bucket.T, pair.T):
+            finite = column[np.isfinite(column)]
+            if not len(finite):
+                assert np.isnan([one, other]).all()
+                continue
+            assert {one, other} == {finite.min(), finite.max()}
+            assert list(column).index(one) <= list(column).index(other)
+
+
+@given(rows=st.integers(1, 5000), most=st.integers(2, 400))
+def test_times_and_frames_reach_from_start_to_end(rows: int, most: int) -> None:
+    times = np.arange(rows) * 0.5
+    width = bucket_width(rows, most)
+    drawn = ends(times, width)
+    assert len(drawn) == len(extremes(times, width))
+    assert (np.diff(drawn) >= 0.0).all()
+    frames = frame_rows(rows, most)
+    assert len(frames) <= most
+    assert (np.diff(frames) > 0).all()
+    for first, last in ((drawn[0], drawn[-1]), (times[frames[0]], times[frames[-1]])):
+        assert (first, last) == (times[0], times[-1])
+
+
+def test_the_page_holds_what_the_bag_holds(flight: Path, tmp_path: Path) -> None:
+    (run,) = reported(flight, output=tmp_path / "a.html").data["runs"]
+    bag = load(flight).transpose("time", "bird", "member")
+    assert run["members"] == 3
+    with Run(flight) as opened:
+        metrics = opened.metrics()
+    expected = {
+        "time": bag.time,
+        "speed": bag.speed,
+        "spacing": bag.position.diff("bird"),
+        "speed_std": bag.speed.std("bird").to_numpy()[:, np.newaxis],
+        "final_spacing": metrics.spacing.T,
+        "lateral": bag.lateral,
+    }
+    for name, values in expected.items():
+        np.testing.assert_array_equal(unpacked(run[name]), np.asarray(values, dtype="<f4"), name)
+    np.testing.assert_array_equal(
+        unpacked(run["drag_reduction"])[-1], metrics.drag_reduction.T.astype("<f4")
+    )
+    rows = np.searchsorted(bag.time, unpacked(run["frame_time"]))
+    position = bag.position - bag.position.sel(bird=3)
+    np.testing.assert_array_equal(
+        unpacked(run["frame_position"]), position.to_numpy()[rows].astype("<f4")
+    )
+
+
+def test_a_long_run_keeps_the_extremes_however_it_is_read(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_data, "MOST_BUCKETS", 20)
+    pages = []
+    for part in (report_data.PART, 1):
+        monkeypatch.setattr(report_data, "PART", part)
+        page = reported(flight, output=tmp_path / "a.html")
+        pages.append(page.data)
+    assert pages[0] == pages[1]
+    (run,) = pages[0]["runs"]
+    speed = load(flight).speed.transpose("time", "bird", "member").to_numpy()
+    kept = unpacked(run["speed"])
+    assert len(kept) <= 40
+    np.testing.assert_array_equal(kept.max(axis=0), speed.max(axis=0).astype("<f4"))
+    np.testing.assert_array_equal(kept.min(axis=0), speed.min(axis=0).astype("<f4"))
+    assert "Of the 201 rows that were recorded" in page.text
+
+
+def test_theory_is_the_linear_law_for_equal_birds(tmp_path: Path) -> None:
+    path = record(tmp_path / "run", FlockConfiguration(birds=7, t_max=20.0))
+    (run,) = reported(path, output=tmp_path / "a.html").data["runs"]
+    linear, steady = unpacked(run["linear_spacing"]), unpacked(run["steady_spacing"])
+    assert np.isfinite(steady).all()
+    # Both solve for a spacing to some 1e-15 b, and are written as 32-bit floats.
+    np.testing.assert_allclose(steady, linear, rtol=2e-7, atol=1e-7)
+    assert unpacked(run["eigen_real"]).shape == (13, 1)
+
+
+def test_a_flock_whose_leader_is_nowhere_is_still_shown(tmp_path: Path) -> None:
+    path = record(
+        tmp_path / "run",
+        FlockConfiguration(birds=5, t_max=50.0),
+        lambda bird, state: (
+            replace(state, position=state.position * np.nan, speed=state.speed * np.inf)
+            if bird == 3 and state.step > 0
+            else state
+        ),
+    )
+    page = reported(path, output=tmp_path / "a.html")
+    assert "does not hold together" in page.text
+    last = unpacked(page.data["runs"][0]["frame_position"])[-1, :, 0]
+    position = load(path).position.to_numpy()[-1, :, 0]
+    np.testing.assert_array_equal(last, (position - position[0]).astype("<f4"))
+    assert np.isfinite(last).tolist() == [True, True, False, True, True]
+
+
+def test_markup_in_what_was_recorded_is_text(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "__version__", HOSTILE)
+    path = tmp_path / f"run{HOSTILE}"
+    path.parent.mkdir(parents=True)
+    record(path, FlockConfiguration(birds=3, t_max=20.0))
+    page = reported(path, output=tmp_path / "a.html")
+    tags = [tag for tag, _ in page.tags]
+    assert tags.count("script") == 2
+    assert "img" not in tags
+    assert str(path) in page.text
+    assert f"Flock {HOSTILE}" in page.text
+    assert page.data["runs"][0]["name"] == str(path)
+    assert "<" not in page.scripts[0]
+
+
+def test_only_the_script_of_the_page_may_run_and_nothing_is_fetched(
+    flight: Path, tmp_path: Path
+) -> None:
+    page = reported(flight, output=tmp_path / "a.html")
+    (policy,) = [
+        attributes["content"]
+        for tag, attributes in page.tags
+        if attributes.get("http-equiv") == "Content-Security-Policy"
+    ]
+    digest = base64.b64encode(hashlib.sha256(page.scripts[1].encode()).digest()).decode()
+    assert policy is not None
+    assert policy.startswith("default-src 'none';")
+    assert f"script-src 'sha256-{digest}';" in policy
+    asked = [
+        attributes[key]
+        for _, attributes in page.tags
+        for key in ("src", "href")
+        if key in attributes
+    ]
+    assert asked == ["data:,"]
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    for words in ("http://", "https://", "@import", "url(", "fetch(", "XMLHttpRequest"):
+        assert words not in text
+
+
+def test_every_picture_has_a_text_and_a_table(flight: Path, tmp_path: Path) -> None:
+    page = reported(flight, output=tmp_path / "a.html")
+    pictures = [attributes for tag, attributes in page.tags if tag == "canvas"]
+    ids = {attributes.get("id") for _, attributes in page.tags}
+    assert len(pictures) == 8
+    for picture in pictures:
+        assert picture["role"] == "img"
+        assert picture["aria-label"]
+        assert f"{picture['id']}-table" in ids
+
+
+def test_runs_are_compared_and_what_differs_is_marked(flight: Path, tmp_path: Path) -> None:
+    other = record(tmp_path / "all", replace(CONFIGURATION, coupling="all", t_max=100.0))
+    page = reported(flight, other, output=tmp_path / "a.html")
+    assert [run["name"] for run in page.data["runs"]] == [str(flight), str(other)]
+    assert "coupling (differs)" in page.text
+    assert "birds (differs)" not in page.text
+    for path in (flight, other):
+        assert f"{path}, member 3" in page.text
+        (file,) = path.glob("*.mcap")
+        assert hashlib.sha256(file.read_bytes()).hexdigest() in page.text
+
+
+def test_the_report_lies_beside_the_bag_which_can_be_flown_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(tmp_path / "run", FlockConfiguration(birds=1, t_max=20.0))
+    assert text_of(tool, capsys, str(path)) == f"{path / 'report.html'}\n"
+    first = (path / "report.html").read_bytes()
+    told = json_of(tool, capsys, str(path))
+    assert told["output"] == str(path / "report.html")
+    assert told["bytes"] == len(first)
+    assert (path / "report.html").read_bytes() == first
+    with Run(path) as run:
+        assert told["runs"][0]["mean_speed"] == run.metrics().mean_speed.tolist()
+    claim_output(path, force=True)
+    assert list(path.iterdir()) == []
+
+
+@given(flocks=st.lists(st.tuples(st.integers(1, 60), st.integers(1, 3000)), min_size=1, max_size=6))
+def test_whatever_is_reported_fits_in_one_file(flocks: list[tuple[int, int]]) -> None:
+    flights = [FlockConfiguration(birds=birds) for birds, _ in flocks]
+    for flown, (birds, members) in zip(flights, flocks):
+        flown.__dict__["span_ratio"] = np.ones((birds, members))
+    room = Room.of(flights)
+    assert room.buckets >= report_data.FEWEST_BUCKETS
+    numbers = [
+        (6 + 2 * report_data.FRAMES) * flown.birds * members * room.buckets
+        for flown, members in zip(flights, room.members)
+    ]
+    assert sum(numbers) <= MOST_NUMBERS
+    for (_, members), shown in zip(flocks, room.members):
+        assert 1 <= shown <= members
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "RUN"),
+        (["nowhere"], "nowhere"),
+        (["RUN", "OTHER"], "has 2 birds and RUN has 5: runs in one report must be of as many"),
+        (["EMPTY"], "no recorded step is complete"),
+        (["RUN", "--output", "no/such/a.html"], "no/such is no directory"),
+        (["RUN", "--output", "bag.mcap"], "must end in one of .html, .htm"),
+        (["RUN", "--output", "made.html"], "is a directory"),
+        (["RUN", "--output", "/dev/full/a.html"], "/dev/full is no directory"),
+    ],
+)
+def test_what_cannot_be_reported_is_said_in_one_line(
+    arguments: list[str],
+    named: str,
+    flight: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("made.html").mkdir()
+    other = record(tmp_path / "other", FlockConfiguration(birds=2, t_max=20.0))
+    empty = record(tmp_path / "empty", FlockConfiguration(birds=2, t_max=20.0), states=[])
+    places = {"RUN": str(flight), "OTHER": str(other), "EMPTY": str(empty)}
+    line = error_of(tool, capsys, *(places.get(word, word) for word in arguments))
+    assert named.replace("RUN has", f"{flight} has") in line
+    assert not (flight / "report.html").exists()
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_the_scripts_are_javascript(name: str) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("there is no node on this machine")
+    done = subprocess.run([node, "--check", PAGE / name], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
