@@ -22,6 +22,9 @@ MIXED = (
     *("--link", "hold:interval=3,delay=5/0/2,jitter=2,drop=0.3,noise=0.01,timeout=40"),
     *("--link", "2->3=linear:drop=0.2,range=5,position_quantum=0.001,seed=1/2/1"),
 )
+RATIOS = ",".join(f"{0.97 + 0.001 * k:.3f}" for k in range(64))
+MANY = (*FLOCK[:-1], f"2={RATIOS}")
+LATE_LOSSY_NOISY = ("--link", "hold:delay=5,drop=0.3,noise=0.01")
 EXACT_TOO = (*MIXED, "--link", "4->3=exact:delay=1,drop=0.1", "--link", "1->2=exact")
 
 
@@ -46,11 +49,15 @@ def assert_as_the_reference(terminal: Terminal, *flock: object) -> None:
     assert done.json["messages"] == 4 * (STEPS // 10 + 1)
 
 
-@pytest.mark.parametrize("links", [MIXED, EXACT_TOO], ids=["sparse", "every stage"])
+@pytest.mark.parametrize(
+    ("flock", "links"),
+    [(FLOCK, MIXED), (FLOCK, EXACT_TOO), (MANY, LATE_LOSSY_NOISY)],
+    ids=["sparse", "every stage", "64 members"],
+)
 def test_a_flight_over_bad_links_with_kills_is_that_of_the_reference(
-    terminal: Terminal, links: tuple[str, ...]
+    terminal: Terminal, flock: tuple[object, ...], links: tuple[str, ...]
 ) -> None:
-    job = in_flight(terminal, *FLOCK, *links, "--processes", 2)
+    job = in_flight(terminal, *flock, *links, "--processes", 2)
     os.kill(job.workers(BIRD)[0], signal.SIGKILL)
     job.until_said("started again")
     before = last_step(terminal)
@@ -60,7 +67,7 @@ def test_a_flight_over_bad_links_with_kills_is_that_of_the_reference(
     assert done.status == 0, done.stderr
     assert done.json["restarts"] == 2
     assert done.json["rewinds"] >= 1
-    assert_as_the_reference(terminal, *FLOCK, *links)
+    assert_as_the_reference(terminal, *flock, *links)
 
 
 def test_a_flight_over_bad_links_is_gone_on_with_where_it_was_cut_short(terminal: Terminal) -> None:
