@@ -32,6 +32,7 @@ TOOLS = {
     "compare": "flock_tools.compare",
     "picture": "flock_tools.picture",
     "figures": "flock_tools.figures",
+    "play": "flock_tools.play",
     "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",

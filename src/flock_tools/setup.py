@@ -18,6 +18,7 @@ setup(
             "metrics=flock_tools.metrics:main",
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
+            "play=flock_tools.play:main",
             "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",
