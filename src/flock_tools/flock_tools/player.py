@@ -29,7 +29,7 @@ except ImportError:
     from flock_interfaces import srv
 
 PATIENCE = 10.0
-"""Time, in s, that a listener may take for what it was sent: Fast DDS looks for losses every 3 s."""
+"""Time, in s, that a listener may take for what it was sent; losses are looked for every 3 s."""
 
 AT_ONCE = 256
 """Messages under way at `--rate 0`: Fast DDS has room for 512 in the memory that is shared."""
