@@ -33,6 +33,7 @@ TOOLS = {
     "picture": "flock_tools.picture",
     "figures": "flock_tools.figures",
     "play": "flock_tools.play",
+    "watch": "flock_tools.watch",
     "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",

@@ -19,6 +19,7 @@ setup(
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
             "play=flock_tools.play:main",
+            "watch=flock_tools.watch:main",
             "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",
