@@ -175,12 +175,12 @@ def _first(
     """Return the first sample; None on `stop`. Raises RunFailed where none comes in time."""
     deadline = time.monotonic() + timeout
     while not stop:
-        sample = watcher.view.sample(watcher.birds, member)
+        sample = watcher.view.sample(watcher.birds, 1)
         if sample is not None and watcher.knows(sample):
-            return sample
+            return watcher.view.sample(watcher.birds, member)
         if time.monotonic() > deadline:
             if sample is not None:
-                return sample
+                return watcher.view.sample(watcher.birds, member)
             heard = f"only birds {sorted(watcher.birds)}" if watcher.birds else "no flock"
             raise RunFailed(
                 f"{heard} heard within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
