@@ -34,6 +34,8 @@ TOOLS = {
     "picture": "flock_tools.picture",
     "report": "flock_tools.report",
     "figures": "flock_tools.figures",
+    "play": "flock_tools.play",
+    "watch": "flock_tools.watch",
     "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",

@@ -20,6 +20,8 @@ setup(
             "compare=flock_tools.compare:main",
             "picture=flock_tools.picture:main",
             "report=flock_tools.report:main",
+            "play=flock_tools.play:main",
+            "watch=flock_tools.watch:main",
             "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",

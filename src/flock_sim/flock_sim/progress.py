@@ -59,6 +59,19 @@ def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], No
 
 
 @contextmanager
+def playback_bar(length: float) -> Iterator[Callable[[float, float, bool], None]]:
+    """Give a function that takes the recorded time reached, in s of `length`, rate and pause."""
+    columns = (TextColumn("{task.fields[time]:.3f} s  rate {task.fields[rate]:.3g}"),)
+    with _bar("playing", length, columns) as update:
+
+        def show(reached: float, rate: float, paused: bool) -> None:
+            what = "paused " if paused else "playing"
+            update(description=what, completed=reached, time=reached, rate=rate)
+
+        yield show
+
+
+@contextmanager
 def _bar(
     what: str, total: float, columns: Iterable[ProgressColumn]
 ) -> Iterator[Callable[..., None]]:

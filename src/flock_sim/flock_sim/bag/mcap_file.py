@@ -57,6 +57,7 @@ class McapFile:
             else ""
             for channel in contents.channels.values()
         }
+        self.channels = {channel.topic: channel for channel in contents.channels.values()}
         self.metadata: Mapping[str, dict[str, str]] = contents.metadata
         self.message_counts = self._count(contents.counts)
         self.last_time = contents.last_time

@@ -7,6 +7,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from types import TracebackType
 
+from mcap.records import Channel
+
 from flock_sim.bag.mcap_file import McapFile
 from flock_sim.bag.rosbag2_metadata import METADATA_FILE
 from flock_sim.errors import FlockError
@@ -20,7 +22,8 @@ class BagReader:
             for topic, log_time, cdr in bag.messages(start=bag.last_time):
                 ...
 
-    Attributes: `topics` gives the type of each topic by name; `message_counts` the number of
+    Attributes: `topics` gives the type of each topic by name, `channels` its MCAP channel, with the
+    encoding and what the recorder said of it; `message_counts` the number of
     messages of each topic, or None where a file has no summary; `last_time` the latest log time
     in ns, or None without messages; `missing` is None, or one line on what a bag that was cut
     short or damaged lacks: what is whole of it is read.
@@ -32,8 +35,10 @@ class BagReader:
         self.path = Path(path)
         self._files = [McapFile(file) for file in _recordings(self.path)]
         self.topics: dict[str, str] = {}
+        self.channels: dict[str, Channel] = {}
         for file in self._files:
             self.topics.update(file.topics)
+            self.channels.update(file.channels)
         self.message_counts = self._count()
         times = [file.last_time for file in self._files if file.last_time is not None]
         self.last_time = max(times, default=None)

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys as they are pressed, on a terminal; none elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+SPACE, UP, DOWN, RIGHT = b" ", b"\x1b[A", b"\x1b[B", b"\x1b[C"
+_KEY = re.compile(rb"\x1b[\[O][A-D]|.", re.DOTALL)
+
+
+@contextmanager
+def keyboard() -> Iterator[Callable[[], list[bytes]]]:
+    """Give a function that returns the keys pressed since it was last called, without waiting.
+
+    The terminal is as it was when the block ends, however it ends.
+    """
+    if not (sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()):
+        yield list
+        return
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal)
+    try:
+        yield lambda: _pressed(terminal)
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+def _pressed(terminal: int) -> list[bytes]:
+    if not select.select([terminal], [], [], 0)[0]:
+        return []
+    keys = _KEY.findall(os.read(terminal, 256))
+    return [key.replace(b"O", b"[") if len(key) == 3 else key for key in keys]

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `watch` shows of a flock is what its bag says."""
+
+from __future__ import annotations
+
+from flock_sim.run import Run
+from terminal import Terminal
+
+FLOCK = ("--birds", 3, "--t-max", 300, "--span-ratio", "1=0.95,1.0")
+
+
+def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal) -> None:
+    terminal.well("reference", *FLOCK, "--output", "bag")
+    player = terminal.start("play", "bag", "--rate", 2, "--loop")
+    shown = terminal.well("watch", "--json", "--member", 2, "--timeout", 60).json
+    with Run(terminal.directory / "bag") as run:
+        expected = run.metrics(shown["time"]).as_json()
+        drag = run.at(shown["time"]).interaction_drag[:, 1].tolist()
+    assert shown["step"] == expected["steps"]
+    assert shown["position"] == expected["position"][1]
+    assert shown["interaction_drag"] == drag
+    assert shown["drag_reduction"] is None  # no clock has told what is flown
+    assert (shown["birds"], shown["members"], shown["leader"]) == (3, 2, 2)
+    table = terminal.well("watch", "--once", "--timeout", 60).stdout
+    assert "member 1 of 2" in table
+    assert "2 leader" in table
+    player.interrupt()
+    assert player.wait().status == 130
+
+
+def test_a_flight_is_shown_with_all_that_its_clock_tells(terminal: Terminal) -> None:
+    job = terminal.start("fly", "--birds", 3, "--t-max", 1e6, "--output", "flown")
+    done = terminal.run("watch", "--json", "--timeout", 60)
+    assert done.status == 0, done.stderr
+    shown = done.json
+    job.interrupt()
+    assert job.wait().status == 130
+    with Run(terminal.directory / "flown") as run:
+        expected = run.metrics(shown["time"]).as_json()
+    assert shown["position"] == expected["position"][0]
+    assert shown["drag_reduction"] == expected["drag_reduction"][0]
+    assert (shown["coupling"], shown["hears"]) == ("nearest", [[2], [1, 3], [2]])
+
+
+def test_a_silent_domain_is_named(terminal: Terminal) -> None:
+    done = terminal.run("watch", "--once", "--timeout", 0.1)
+    assert done.status == 1
+    domain = terminal.environment["ROS_DOMAIN_ID"]
+    assert f"no flock heard within 0.1 s on ROS domain {domain}" in done.error
+
+
+def test_a_live_table_needs_a_terminal(terminal: Terminal) -> None:
+    done = terminal.run("watch")
+    assert (done.status, done.error) == (
+        2,
+        "error: a live table needs a terminal: add --once or --json",
+    )

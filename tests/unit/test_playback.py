@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded messages are due on time, whatever the delays, and a playback can be operated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import Future
+from threading import Thread
+
+import pytest
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from flock_sim.bag.topic import Topic
+from flock_tools.play_schedule import Schedule
+from flock_tools.play_topics import DEFAULT_DEPTH, recorded_qos
+from flock_tools.playback import Playback, Recorded
+
+SECOND = 10**9
+ORIGIN = 7 * SECOND
+
+
+class FakeClock:
+    """A clock that goes where it is put."""
+
+    def __init__(self) -> None:
+        self.time = 1000.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_what_is_due_does_not_depend_on_when_it_is_asked_for(rate: float) -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, rate, now=clock)
+    for seconds in range(1, 100):
+        clock.time += 0.017 * seconds  # delays of all sizes
+        due = clock.time + schedule.left(ORIGIN + seconds * SECOND)
+        assert due == pytest.approx(1000.0 + seconds / rate, abs=1e-9)
+
+
+def test_a_pause_is_no_time() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 2.0, now=clock)
+    clock.time += 1.0
+    schedule.pause()
+    assert schedule.left(ORIGIN) == math.inf
+    clock.time += 50.0
+    assert schedule.position == ORIGIN + 2 * SECOND
+    schedule.resume()
+    assert schedule.left(ORIGIN + 4 * SECOND) == pytest.approx(1.0)
+
+
+def test_a_new_rate_counts_from_now_on() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1.0, now=clock)
+    clock.time += 3.0
+    schedule.set_rate(10.0)
+    assert schedule.left(ORIGIN + 4 * SECOND) == pytest.approx(0.1)
+
+
+def test_at_rate_0_all_is_due_and_a_rate_then_goes_on_from_what_was_played() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 0.0, now=clock)
+    assert schedule.left(ORIGIN + 1000 * SECOND) == 0.0
+    schedule.reached(ORIGIN + 5 * SECOND)
+    schedule.set_rate(1.0)
+    assert schedule.left(ORIGIN + 6 * SECOND) == pytest.approx(1.0)
+
+
+class Stage:
+    """A playback of ten messages, a second apart, that keeps what it publishes."""
+
+    def __init__(self, *, rate: float = 0.0, paused: bool = False, loop: bool = False) -> None:
+        self.heard: list[int] = []
+        schedule = Schedule(ORIGIN, rate, paused=paused)
+        span = (ORIGIN, ORIGIN + 9 * SECOND)
+        self.playback = Playback(self.read, self.publish, schedule, span, loop=loop)
+
+    def read(self, at: int | None) -> Iterator[Recorded]:
+        for k in range(10):
+            stamp = ORIGIN + k * SECOND
+            if at is None or stamp >= at:
+                yield "/topic", stamp, bytes([k])
+
+    def publish(self, topic: str, data: bytes) -> None:
+        self.heard.append(data[0])
+        if len(self.heard) == 25:
+            self.playback.stop()
+
+
+def test_all_is_played_in_order() -> None:
+    stage = Stage()
+    stage.playback.run()
+    assert stage.heard == list(range(10))
+    assert stage.playback.played == {"/topic": 10}
+    assert stage.playback.reached == 9.0
+
+
+def test_a_loop_begins_again_until_it_is_stopped() -> None:
+    stage = Stage(loop=True)
+    stage.playback.run()
+    assert stage.heard == [*range(10), *range(10), *range(5)]
+
+
+def test_in_a_pause_messages_are_played_one_by_one_and_can_be_sought() -> None:
+    stage = Stage(paused=True)
+    play = stage.playback
+    asked: list[Future[bool]] = [
+        play.ask(play.play_next),
+        play.ask(play.play_next),
+        play.ask(lambda: play.seek(ORIGIN + 6 * SECOND - 1)),
+        play.ask(play.play_next),
+        play.ask(lambda: play.seek(ORIGIN + 9 * SECOND + 1)),
+        play.ask(lambda: play.set_rate(-1.0)),
+        play.ask(lambda: play.seek(ORIGIN + 9 * SECOND)),
+        play.ask(play.play_next),
+        play.ask(play.play_next),
+    ]
+    play.ask(play.stop)
+    play.run()
+    assert [answer.result(0) for answer in asked] == [
+        *(True, True, True, True, False, False, True, True, False)
+    ]
+    assert stage.heard == [0, 1, 6, 9]
+
+
+def test_who_asks_after_the_end_is_answered() -> None:
+    stage = Stage()
+    stage.playback.run()
+    stage.playback.schedule.pause()
+    assert stage.playback.ask(stage.playback.play_next).result(0) is False
+
+
+def test_a_long_wait_is_ended_by_who_asks_from_another_thread() -> None:
+    stage = Stage(rate=1e-6)
+    thread = Thread(target=stage.playback.run)
+    thread.start()
+    stage.playback.ask(lambda: stage.playback.seek(ORIGIN + 5 * SECOND)).result(60)
+    stage.playback.ask(lambda: stage.playback.set_rate(1e9)).result(60)
+    thread.join(60)
+    assert not thread.is_alive()
+    assert stage.heard[-5:] == [5, 6, 7, 8, 9]
+
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=37,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+UNKNOWN = QoSProfile(depth=DEFAULT_DEPTH)
+
+
+def test_qos_is_what_was_recorded() -> None:
+    ours = Topic("/a", "b/msg/C", durability="transient_local", depth=37)
+    assert recorded_qos(ours.qos_text()) == LATCHED
+    old = "- history: 1\n  depth: 37\n  reliability: 1\n  durability: 1\n"
+    assert recorded_qos(old) == LATCHED
+    assert recorded_qos(old + "  deadline: {sec: 1, nsec: 0}\n" + old) == LATCHED
+    sensor = recorded_qos("- history: keep_all\n  reliability: best_effort\n")
+    assert sensor.history == HistoryPolicy.KEEP_ALL
+    assert sensor.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[", "7", "- 7", "- depth: many", "- {durability: 1}\n- {durability: 2}"],
+)
+def test_qos_that_says_nothing_or_contradicts_itself_is_the_usual_one(text: str) -> None:
+    assert recorded_qos(text) == UNKNOWN
