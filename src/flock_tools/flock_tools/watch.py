@@ -159,14 +159,19 @@ def tool(arguments: Sequence[str]) -> int:
 @contextmanager
 def _watcher() -> Iterator[tuple[Watcher, Executor]]:
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    alone = True
     try:
         with executing("single", context) as executor:
             watcher = Watcher(context)
             executor.add_node(watcher)
-            yield watcher, executor
+            try:
+                yield watcher, executor
+            finally:
+                alone = not watcher.birds
     finally:
         rclpy.try_shutdown(context=context)
-        remove_orphans()
+        if alone:  # else a bird may have our port mapped, and whoever gets it next be deaf to it
+            remove_orphans()
 
 
 def _first(
