@@ -3,27 +3,17 @@
 
 from __future__ import annotations
 
-import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-
 from flock_interfaces.msg import Progress
 from flock_sim.core import topics
 from flock_sim.nodes.endpoints import latched
 from flock_sim.run import Run
 from terminal import Terminal
+from visitor import Visitor
 
 
 def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+    terminal: Terminal, visitor: Visitor
 ) -> None:
-    for name in ("ROS_DOMAIN_ID", "ROS_LOG_DIR"):
-        monkeypatch.setenv(name, terminal.environment[name])
-    context = Context()
-    rclpy.init(context=context)
-    listener = Node("listener", context=context)
     heard: list[int] = []
 
     def hear(progress: Progress) -> None:
@@ -32,20 +22,11 @@ def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
             # The file only grows: what is read now was there when the message came, or a bit later.
             assert Run(terminal.directory / "bag").at().step >= progress.step
 
-    listener.create_subscription(Progress, topics.PROGRESS_TOPIC, hear, latched(1))
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(listener)
+    visitor.node.create_subscription(Progress, topics.PROGRESS_TOPIC, hear, latched(1))
     # Stages would make chunks fill up by themselves; few small states must be put on disk for it.
     flight = ("--birds", 2, "--t-max", 3000, "--record-every", 50, "--window", 1)
     job = terminal.start("fly", *flight, "--output", "bag")
-    try:
-        while job.running:
-            terminal.look()
-            executor.spin_once(timeout_sec=0.01)
-        assert job.wait().status == 0
-    finally:
-        executor.shutdown()
-        listener.destroy_node()
-        rclpy.try_shutdown(context=context)
+    visitor.until(lambda: not job.running)
+    assert job.wait().status == 0
     assert heard
     assert heard == sorted(heard)

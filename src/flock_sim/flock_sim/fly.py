@@ -36,6 +36,7 @@ from flock_sim.progress import progress_bar
 from flock_sim.recording import lay_down
 from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.resume import Resumable, resumable
+from flock_sim.shared_memory import remove_orphans
 from flock_sim.shares import shares
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.times import Times
@@ -97,6 +98,7 @@ def tool(arguments: Sequence[str]) -> int:
     plan = _plan(options, resumed)
     if resumed and resumed.complete:
         note(f"{options.resume} is complete: nothing to go on with")
+        remove_orphans()  # who was killed in the last moment has left its own, too
         how = dict.fromkeys(("steps_per_second", "start_seconds", "wall_seconds"), 0.0)
         counts = dict.fromkeys(("steps_flown_again", "rewinds", "restarts"), 0)
         flight = {**how, **counts, "output": str(options.resume)}
