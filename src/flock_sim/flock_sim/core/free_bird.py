@@ -28,6 +28,7 @@ from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.free_flight import NO_WAY_BACK
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.links.latest import Latest
+from flock_sim.core.listener import Listener
 from flock_sim.core.messages import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
 from flock_sim.core.neighbourhood import Neighbourhood
 from flock_sim.core.perturbation import Perturbation
@@ -55,7 +56,7 @@ REPORT_EVERY = 0.25
 """Time between two reports to the clock, in s."""
 
 
-class FreeBird:
+class FreeBird(Listener):
     """One bird of a free flight. Feed it what arrives, and the time; send what it returns.
 
     >>> from flock_sim.core.terms import terms
@@ -86,10 +87,8 @@ class FreeBird:
         self.life = life
         self.released = False
         """Whether the clock has said that the run is over, and nobody needs this bird any more."""
-        self.ignored_for: Counter[str] = Counter()
-        """How many messages changed nothing, by the reason."""
+        self.ignored_for = Counter()
         self.ignored = 0
-        """How many messages changed nothing."""
         self.step = 0
         """The step that is taken next; one beyond the last at the end."""
         self.late = 0
@@ -121,11 +120,6 @@ class FreeBird:
         self._work[SPEED] = Scales.of(configuration).cruise_speed
         self._push()
         begin(self._own, self._mine, self._work)
-
-    @property
-    def neighbours(self) -> tuple[int, ...]:
-        """The birds whose messages it hears."""
-        return self._around.birds
 
     @property
     def joined(self) -> bool:
@@ -171,12 +165,6 @@ class FreeBird:
         if math.isinf(self.due):
             return f"the clock's leave to go beyond step {self.step}"
         return f"step {self.step} to be due"
-
-    def ignore(self, reason: str) -> list[Outgoing]:
-        """Count a message that changes nothing."""
-        self.ignored += 1
-        self.ignored_for[reason] += 1
-        return []
 
     def receive_grant(self, grant: Grant) -> list[Outgoing]:
         """Take leave to begin, and to go on as far as what is recorded allows.

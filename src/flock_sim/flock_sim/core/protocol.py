@@ -33,6 +33,7 @@ from flock_sim.core.bird_step import (
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.links.receiver import Receiver
+from flock_sim.core.listener import Listener
 from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, Wing
 from flock_sim.core.neighbourhood import Neighbourhood
 from flock_sim.core.perturbation import Perturbation, perturbations
@@ -78,7 +79,7 @@ class Channel(Enum):
 Outgoing = tuple[Channel, bytes]
 
 
-class BirdProtocol:
+class BirdProtocol(Listener):
     """One bird of a flock, flying by its own parameters and its neighbours' messages only.
 
     Feed it what arrives; send what it returns, in order:
@@ -115,10 +116,8 @@ class BirdProtocol:
         self.life = life
         self.released = False
         """Whether the clock has said that the run is over, and nobody needs this bird any more."""
-        self.ignored_for: Counter[str] = Counter()
-        """How many messages changed nothing, by the reason."""
+        self.ignored_for = Counter()
         self.ignored = 0
-        """How many messages changed nothing."""
         self._configuration = configuration
         self._epoch = NEVER  # of no message: nothing is taken before the first grant
         self._end = configuration.steps
@@ -159,11 +158,6 @@ class BirdProtocol:
         return self._tick // STAGES
 
     @property
-    def neighbours(self) -> tuple[int, ...]:
-        """The birds whose messages it hears."""
-        return self._around.birds
-
-    @property
     def in_flight(self) -> bool:
         """Whether stages are exchanged."""
         return self._flying
@@ -195,12 +189,6 @@ class BirdProtocol:
             return f"the clock's leave to go beyond step {self.step}"
         stage = f"stage {self._tick % STAGES} of step {self.step}"
         return f"{stage} from {', '.join(map(bird_name, self.missing))}"
-
-    def ignore(self, reason: str) -> list[Outgoing]:
-        """Count a message that changes nothing."""
-        self.ignored += 1
-        self.ignored_for[reason] += 1
-        return []
 
     def receive_grant(self, grant: Grant) -> list[Outgoing]:
         """Take leave to go on, or hear that a new epoch begins.
