@@ -79,9 +79,13 @@ def test_on_fresh_news_it_flies_as_the_reference_does_to_the_bit(link: str, coup
             for other in bird.neighbours:
                 news = row.position, row.speed, row.circulation
                 bird.receive_stage(said(other, row.step, tuple(n[other - 1] for n in news)), BEGIN)
-            (data,) = of(Channel.STATE, bird.tick(BEGIN + 10.0 * row.step))
-            values = (getattr(row, name)[number - 1] for name in ARRAYS)
+            out = bird.tick(BEGIN + 10.0 * row.step)
+            (data,) = of(Channel.STATE, out)
+            values = tuple(getattr(row, name)[number - 1] for name in ARRAYS)
             assert data == State.at(flown, row.step, *values, RUN, EPOCH).encode()
+            # Neighbours hear of every step; of the first, they have heard before the flight.
+            heard = [said(number, row.step, values[:3])] if row.step else []
+            assert of(Channel.STAGE, out) == heard
         assert bird.finished
         assert bird.due == math.inf
 
