@@ -249,7 +249,7 @@ def test_every_picture_has_a_text_and_a_table(flight: Path, tmp_path: Path) -> N
     page = reported(flight, output=tmp_path / "a.html")
     pictures = [attributes for tag, attributes in page.tags if tag == "canvas"]
     ids = {attributes.get("id") for _, attributes in page.tags}
-    assert len(pictures) == 8
+    assert len(pictures) == 9
     for picture in pictures:
         assert picture["role"] == "img"
         assert picture["aria-label"]
