@@ -227,3 +227,19 @@ def test_bad_input_is_refused_in_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert words in line
+
+
+def test_who_stays_on_the_domain_keeps_the_ports_that_it_writes_to(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    # One that is taken away by its name deafens who gets its number next to whoever has it mapped.
+    bag = reference(terminal)
+    heard = listen(visitor, bag)
+    job = terminal.start("play", "bag", "--rate", 0)
+    visitor.until(lambda: not job.running)
+    assert job.wait().status == 0
+    assert all(heard.values())
+    maps = Path("/proc/self/maps").read_text(encoding="utf-8")
+    assert "fastrtps_port" in maps
+    gone = [line for line in maps.splitlines() if "fastrtps_port" in line and "(deleted)" in line]
+    assert gone == []

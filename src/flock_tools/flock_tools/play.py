@@ -19,7 +19,7 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.command_line import LONGEST, Parser, note, positive_number, print_json, run_tool
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
-from flock_sim.nodes.process import executing, ros_context
+from flock_sim.nodes.process import executing, is_alone, ros_context
 from flock_sim.progress import playback_bar
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
@@ -114,6 +114,7 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
             )
         player.serve(playback)
         spin()
+        player.meet(stop)
         schedule.jump(span[0] + start)
         _run(playback, span, stop)
         player.wait_until_heard(stop)
@@ -154,6 +155,7 @@ def _extract(
 def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and what has its services served from then on, in another thread."""
     context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    alone = True
     try:
         with executing("single", context) as executor:
             player = Player(selection.topics, context)
@@ -162,12 +164,14 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
             try:
                 yield player, thread.start
             finally:
+                alone = is_alone(player)
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
     finally:
         rclpy.try_shutdown(context=context)
-        remove_orphans()
+        if alone:  # else who stays would have our port mapped, and not hear who gets it next
+            remove_orphans()
 
 
 def _run(playback: Playback, span: tuple[int, int], stop: Stop) -> None:
