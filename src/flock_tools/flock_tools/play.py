@@ -40,8 +40,9 @@ On a terminal: space pauses, the right arrow plays the next message in a pause, 
 the rate by a tenth. The node /flock/player has the services of rosbag2's player: ~/pause, ~/resume,
 ~/toggle_paused, ~/is_paused, ~/set_rate, ~/get_rate, ~/seek, ~/play_next and ~/stop.
 
-Recorded states say run 0, and no flight takes them for its own; but nodes started by hand that wait
-for their clock take a played grant for it: play on another ROS_DOMAIN_ID than theirs.
+Recorded states say run 0, and no flight takes them for its own: ./flock recorder records them if
+told that they are played (-p played:=true). Nodes started by hand that wait for their clock take a
+played grant for it: play on another ROS_DOMAIN_ID than theirs.
 Exit status: 0 played to the end, or stopped by ~/stop; 2 bad input; 130 Ctrl-C."""
 
 EXAMPLES = """\
@@ -73,7 +74,7 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print what was played as JSON")
     options = parser.parse_args(arguments)
     rate = _not_negative("--rate", options.rate)
-    prepare_discovery(options.network)
+    prepare_discovery(options.network, here="player.xml")
     stop = Stop(heed_interrupt=True)
     with BagReader(options.run) as bag:
         if bag.missing:
