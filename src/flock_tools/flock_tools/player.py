@@ -37,9 +37,9 @@ AT_ONCE = 256
 MEET_EVERY = 0.02
 """Time, in s, between two looks whether all who listen are connected."""
 
-FOUND, NOBODY = 0.5, 2.0
+FOUND, NOBODY = 0.5, 3.5
 """Time, in s, without news of more listeners after which those who were there are all known: when
-there are some, and when there are none."""
+there are some, and when there are none. Who is there already makes itself known every 3 s."""
 
 SERVED_WITHIN = 10.0
 """Time, in s, within which the playback answers a service: it may be publishing just then."""
