@@ -12,6 +12,7 @@ bags are made in a temporary directory, and are removed.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import random
 import subprocess
@@ -164,6 +165,7 @@ def main() -> int:
             listener = Listener(context)
             short, large = Path(directory) / "short", Path(directory) / "large"
             write(short, int(12 * options.seconds * 1e9 / SPACING), 64)
+            gc.freeze()  # as the player does
             good = [keeps_time(listener, short, rate, options.seconds) for rate in (1.0, 10.0, 0.5)]
             messages = int(options.gigabytes * 1e9 / SIZE)
             write(large, messages, SIZE)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import sys
 from argparse import Namespace
@@ -120,6 +121,7 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
         spin()
         if not options.paused:
             player.meet(stop)
+        gc.freeze()  # nothing of what is here by now is looked through again, for milliseconds
         schedule.jump(span[0] + start)
         _run(playback, span, stop)
         player.wait_until_heard(stop)
