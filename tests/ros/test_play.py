@@ -9,7 +9,10 @@ from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time as Stamp
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import String
 
 from flock_interfaces import srv
@@ -199,13 +202,43 @@ def test_a_bag_of_others_is_played_and_nothing_pushed_out_of_short_queues(
     assert f"its type {STRANGE} can't be imported here" in done.stderr
 
 
+def test_a_bag_that_another_library_wrote_is_played(terminal: Terminal, visitor: Visitor) -> None:
+    # rosbags, which shares nothing with our writer.
+    store = get_typestore(Stores.ROS2_JAZZY)
+    strings, poses = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+    with Writer(
+        terminal.directory / "theirs", version=9, storage_plugin=StoragePlugin.MCAP
+    ) as writer:
+        words = writer.add_connection("/words", strings, typestore=store)
+        places = writer.add_connection("/places", poses, typestore=store)
+        said = [bytes(serialize_message(String(data=f"{k:07}"))) for k in range(40)]
+        been = [bytes(serialize_message(PoseStamped())) for _ in range(40)]
+        for k, (word, place) in enumerate(zip(said, been, strict=True)):
+            writer.write(words, SECOND + k * 1000, word)
+            writer.write(places, SECOND + k * 1000, place)
+    heard: dict[str, list[bytes]] = {"/words": [], "/places": []}
+    for topic, kind in (("/words", String), ("/places", PoseStamped)):
+        visitor.node.create_subscription(kind, topic, heard[topic].append, DEEP, raw=True)
+    job = terminal.start("play", "theirs", "--rate", 0, "--paused", "--json")
+    until_met(visitor)
+    ask(visitor, "Resume")
+    visitor.until(lambda: sum(map(len, heard.values())) == 80)
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    assert heard == {"/words": said, "/places": been}
+    assert done.json["topics"] == {"/words": 40, "/places": 40}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("none",), "there is no bag none"),
+        (("nothing",), "there is no .mcap file in it"),
+        (("sqlite",), "ros2 bag convert makes MCAP of it"),
         (("empty",), "there is no message in it"),
         (("strange",), "no topic of it can be played"),
         (("words", "--rate", "-1"), "--rate -1: must be a number from 0"),
+        (("words", "--rate", "nan"), "--rate nan: must be a number from 0"),
         (("words", "--start", "9"), "--start 9: must be 0 or less"),
         (("words", "--start", "-1"), "--start -1: must be a number from 0"),
         (("words", "--duration", "-1"), "--duration -1: must be a finite number above 0"),
@@ -220,6 +253,9 @@ def test_bad_input_is_refused_in_one_line(
     words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    for name in ("nothing", "sqlite"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "sqlite" / "sqlite_0.db3").touch()
     foreign(tmp_path / "empty", ("/words",), 0)
     foreign(tmp_path / "strange", ("/strange",), 1)
     foreign(tmp_path / "words", ("/words",), 1)

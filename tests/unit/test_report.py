@@ -19,6 +19,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from flock_sim import recording
 from flock_sim.bag.output import claim_output
+from flock_sim.bag.topic import Topic
+from flock_sim.bag.writer import BagWriter
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.run import Run
 from flock_tools import report_data
@@ -307,6 +309,8 @@ def test_whatever_is_reported_fits_in_one_file(flocks: list[tuple[int, int]]) ->
         (["nowhere"], "nowhere"),
         (["RUN", "OTHER"], "has 2 birds and RUN has 5: runs in one report must be of as many"),
         (["EMPTY"], "no recorded step is complete"),
+        (["others"], "not a bag of Flock's"),
+        (["sqlite"], "ros2 bag convert makes MCAP of it"),
         (["RUN", "--output", "no/such/a.html"], "no/such is no directory"),
         (["RUN", "--output", "bag.mcap"], "must end in one of .html, .htm"),
         (["RUN", "--output", "made.html"], "is a directory"),
@@ -323,6 +327,10 @@ def test_what_cannot_be_reported_is_said_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("made.html").mkdir()
+    Path("sqlite").mkdir()
+    Path("sqlite/sqlite_0.db3").touch()
+    with BagWriter(Path("others"), [Topic("/words", "std_msgs/msg/String")], {}) as bag:
+        bag.write("/words", 0, bytes(8))
     other = record(tmp_path / "other", FlockConfiguration(birds=2, t_max=20.0))
     empty = record(tmp_path / "empty", FlockConfiguration(birds=2, t_max=20.0), states=[])
     places = {"RUN": str(flight), "OTHER": str(other), "EMPTY": str(empty)}
