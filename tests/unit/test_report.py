@@ -3,7 +3,9 @@
 
 import base64
 import hashlib
+import html
 import json
+import shlex
 import shutil
 import subprocess
 from dataclasses import replace
@@ -21,6 +23,7 @@ from flock_sim import recording
 from flock_sim.bag.output import claim_output
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
+from flock_sim.command_line import Parser, add_flock_options, flock_configuration
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.run import Run
 from flock_tools import report_data
@@ -41,13 +44,13 @@ CONFIGURATION = FlockConfiguration(
 class Page(HTMLParser):
     """What a browser makes of a page: its tags, its scripts, its text."""
 
-    def __init__(self, html: str) -> None:
+    def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.scripts: list[str] = []
         self.text = ""
         self._open = ""
-        self.feed(html)
+        self.feed(text)
         self.close()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -268,6 +271,39 @@ def test_runs_are_compared_and_what_differs_is_marked(flight: Path, tmp_path: Pa
         assert f"{path}, member 3" in page.text
         (file,) = path.glob("*.mcap")
         assert hashlib.sha256(file.read_bytes()).hexdigest() in page.text
+
+
+@pytest.mark.parametrize(
+    "flown",
+    [
+        FlockConfiguration(t_max=20.0),
+        FlockConfiguration(birds=5, coupling="all", dt=0.5, t_max=20.0, record_every=4),
+        FlockConfiguration(
+            birds=3,
+            t_max=20.0,
+            body_mass=4.0,
+            span_ratios=("2=1.0,1.04",),
+            perturbations=("2@4=0.1,-0.01",),
+            links=("hold:interval=2", "1->2=linear:interval=4"),
+        ),
+    ],
+)
+def test_what_the_page_gives_for_the_command_line_flies_the_same(
+    flown: FlockConfiguration, tmp_path: Path
+) -> None:
+    record(tmp_path / "run", flown)
+    page = reported(tmp_path / "run", output=tmp_path / "a.html")
+    given, _, rest = page.text.partition("./flock fly")[2].partition(" (what was typed")
+    assert rest
+    file = tmp_path / "flock.yaml"
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    file.write_text(
+        html.unescape(text.partition("<pre")[2].partition(">")[2].partition("</pre")[0])
+    )
+    words = shlex.split(given.replace("flock.yaml", str(file)))
+    parser = Parser("fly", "", "")
+    add_flock_options(parser)
+    assert flock_configuration(parser.parse_args(words)) == flown
 
 
 def test_the_report_lies_beside_the_bag_which_can_be_flown_over(

@@ -18,6 +18,7 @@ from markupsafe import Markup
 
 from flock_sim import __version__
 from flock_sim.configuration_file import PARAMETERS, SECTION
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import STABLE_BELOW
 from flock_tools.report_data import Reported
@@ -27,6 +28,18 @@ PAGE = Path(__file__).parent / "page"
 
 SCRIPTS = ("chart.js", "pictures.js", "report.js")
 """What draws the pictures, in the order in which it is read."""
+
+FLAGS = {
+    "birds": "--birds",
+    "coupling": "--coupling",
+    "dt": "--dt",
+    "t_max": "--t-max",
+    "record_every": "--record-every",
+    "span_ratios": "--span-ratio",
+    "perturbations": "--perturb",
+    "links": "--link",
+}
+"""The options that say what is flown; the rest of a configuration is given by a file."""
 
 
 def page(runs: Sequence[Reported]) -> bytes:
@@ -184,15 +197,33 @@ def _value(value: object) -> str:
 
 
 def _provenance(run: Reported) -> list[tuple[str, str]]:
-    again = f"./flock reference --repeat {shlex.quote(run.name)}"
+    again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
+    if run.factor:
+        again = f"no two free flights are alike; in lockstep, {again}"
     return [
         ("flown by", f"Flock {run.flock_version}"),
-        ("command", f"not recorded in a bag; {again} flies it again"),
-        *[("file", f"{name}, {size} bytes") for name, size, _ in run.files],
+        ("command", f"{command(run)} (what was typed is not recorded; this flies the same flock)"),
+        ("to the bit", again),
+        *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
         *[("SHA-256", digest) for _, _, digest in run.files],
         ("pushes in flight", "; ".join(run.pushes) or "none"),
         ("complete", run.missing or "yes"),
     ]
+
+
+def command(run: Reported) -> str:
+    """Return what flies the flock of `run`: what of its configuration is not a default."""
+    flown, usual = run.configuration.parameters(), FlockConfiguration().parameters()
+    words = []
+    for key, value in flown.items():
+        if value != usual[key] and key in FLAGS:
+            each = value if isinstance(value, list) else [value]
+            words += [word for entry in each for word in (FLAGS[key], str(entry))]
+    if any(flown[key] != usual[key] for key in flown.keys() - FLAGS.keys()):
+        words += ["--config", "flock.yaml"]  # which is in the page, too
+    if run.factor:
+        words += ["--mode", "free", "--real-time-factor", f"{run.factor:g}"]
+    return shlex.join(["./flock", "fly", *words])
 
 
 def _decimation(run: Reported, named: bool) -> str:
