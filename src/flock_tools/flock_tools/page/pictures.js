@@ -149,7 +149,7 @@ function drawFormation() {
   const margin = 34, scale = Math.min((width - margin) / (2 * half), height / (high - low));
   const middle = margin + (width - margin) / 2;
   const place = (across, along) => [middle + scale * across, height / 2 + scale * ((low + high) / 2 - along)];
-  const best = 100 * Math.max(1e-9, bounds(values(each.frame_drag_reduction))[1]);
+  const best = Math.max(1, 100 * bounds(values(each.frame_drag_reduction))[1]); // %
   drawScale(context, place, [low, high], width, height, margin);
   context.lineWidth = 1;
   context.strokeStyle = css("--line");
