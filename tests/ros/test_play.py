@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from builtin_interfaces.msg import Time as Stamp
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import String
 
 from flock_interfaces import srv
@@ -20,10 +24,11 @@ from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
 from flock_sim.command_line import run_tool
 from flock_sim.core import topics
+from flock_tools import play
 from flock_tools.play import tool
 from flock_tools.play_topics import select
 from terminal import Terminal
-from visitor import Visitor
+from visitor import Visitor, visiting
 
 FLOCK = ("--birds", 3, "--t-max", 300, "--record-every", 2)
 PLAYER = "/flock/player"
@@ -199,13 +204,43 @@ def test_a_bag_of_others_is_played_and_nothing_pushed_out_of_short_queues(
     assert f"its type {STRANGE} can't be imported here" in done.stderr
 
 
+def test_a_bag_that_another_library_wrote_is_played(terminal: Terminal, visitor: Visitor) -> None:
+    # rosbags, which shares nothing with our writer.
+    store = get_typestore(Stores.ROS2_JAZZY)
+    strings, poses = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+    with Writer(
+        terminal.directory / "theirs", version=9, storage_plugin=StoragePlugin.MCAP
+    ) as writer:
+        words = writer.add_connection("/words", strings, typestore=store)
+        places = writer.add_connection("/places", poses, typestore=store)
+        said = [bytes(serialize_message(String(data=f"{k:07}"))) for k in range(40)]
+        been = [bytes(serialize_message(PoseStamped())) for _ in range(40)]
+        for k, (word, place) in enumerate(zip(said, been, strict=True)):
+            writer.write(words, SECOND + k * 1000, word)
+            writer.write(places, SECOND + k * 1000, place)
+    heard: dict[str, list[bytes]] = {"/words": [], "/places": []}
+    for topic, kind in (("/words", String), ("/places", PoseStamped)):
+        visitor.node.create_subscription(kind, topic, heard[topic].append, DEEP, raw=True)
+    job = terminal.start("play", "theirs", "--rate", 0, "--paused", "--json")
+    until_met(visitor)
+    ask(visitor, "Resume")
+    visitor.until(lambda: sum(map(len, heard.values())) == 80)
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    assert heard == {"/words": said, "/places": been}
+    assert done.json["topics"] == {"/words": 40, "/places": 40}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("none",), "there is no bag none"),
+        (("nothing",), "there is no .mcap file in it"),
+        (("sqlite",), "ros2 bag convert makes MCAP of it"),
         (("empty",), "there is no message in it"),
         (("strange",), "no topic of it can be played"),
         (("words", "--rate", "-1"), "--rate -1: must be a number from 0"),
+        (("words", "--rate", "nan"), "--rate nan: must be a number from 0"),
         (("words", "--start", "9"), "--start 9: must be 0 or less"),
         (("words", "--start", "-1"), "--start -1: must be a number from 0"),
         (("words", "--duration", "-1"), "--duration -1: must be a finite number above 0"),
@@ -220,6 +255,9 @@ def test_bad_input_is_refused_in_one_line(
     words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    for name in ("nothing", "sqlite"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "sqlite" / "sqlite_0.db3").touch()
     foreign(tmp_path / "empty", ("/words",), 0)
     foreign(tmp_path / "strange", ("/strange",), 1)
     foreign(tmp_path / "words", ("/words",), 1)
@@ -227,3 +265,22 @@ def test_bad_input_is_refused_in_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert words in line
+
+
+@pytest.mark.parametrize("somebody", [True, False])
+def test_ports_are_cleared_away_only_where_nobody_stays_who_writes_to_them(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, somebody: bool
+) -> None:
+    # One that is taken away by its name deafens who gets its number next to whoever has it mapped.
+    bag = reference(terminal)
+    cleared: list[bool] = []
+    monkeypatch.setattr(play, "remove_orphans", lambda: cleared.append(True))
+    with visiting(terminal, monkeypatch) as visitor:
+        heard = listen(visitor, bag)
+        if not somebody:
+            visitor.close()
+            rclpy.try_shutdown(context=visitor.node.context)
+        assert tool([str(bag), "--rate", "0"]) == 0
+        assert cleared == ([] if somebody else [True])
+        if somebody:
+            visitor.until(lambda: all(heard.values()))

@@ -3,7 +3,9 @@
 
 import base64
 import hashlib
+import html
 import json
+import shlex
 import shutil
 import subprocess
 from dataclasses import replace
@@ -19,6 +21,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from flock_sim import recording
 from flock_sim.bag.output import claim_output
+from flock_sim.bag.topic import Topic
+from flock_sim.bag.writer import BagWriter
+from flock_sim.command_line import Parser, add_flock_options, flock_configuration
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.run import Run
 from flock_tools import report_data
@@ -39,13 +44,13 @@ CONFIGURATION = FlockConfiguration(
 class Page(HTMLParser):
     """What a browser makes of a page: its tags, its scripts, its text."""
 
-    def __init__(self, html: str) -> None:
+    def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.scripts: list[str] = []
         self.text = ""
         self._open = ""
-        self.feed(html)
+        self.feed(text)
         self.close()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -249,7 +254,7 @@ def test_every_picture_has_a_text_and_a_table(flight: Path, tmp_path: Path) -> N
     page = reported(flight, output=tmp_path / "a.html")
     pictures = [attributes for tag, attributes in page.tags if tag == "canvas"]
     ids = {attributes.get("id") for _, attributes in page.tags}
-    assert len(pictures) == 8
+    assert len(pictures) == 9
     for picture in pictures:
         assert picture["role"] == "img"
         assert picture["aria-label"]
@@ -266,6 +271,39 @@ def test_runs_are_compared_and_what_differs_is_marked(flight: Path, tmp_path: Pa
         assert f"{path}, member 3" in page.text
         (file,) = path.glob("*.mcap")
         assert hashlib.sha256(file.read_bytes()).hexdigest() in page.text
+
+
+@pytest.mark.parametrize(
+    "flown",
+    [
+        FlockConfiguration(t_max=20.0),
+        FlockConfiguration(birds=5, coupling="all", dt=0.5, t_max=20.0, record_every=4),
+        FlockConfiguration(
+            birds=3,
+            t_max=20.0,
+            body_mass=4.0,
+            span_ratios=("2=1.0,1.04",),
+            perturbations=("2@4=0.1,-0.01",),
+            links=("hold:interval=2", "1->2=linear:interval=4"),
+        ),
+    ],
+)
+def test_what_the_page_gives_for_the_command_line_flies_the_same(
+    flown: FlockConfiguration, tmp_path: Path
+) -> None:
+    record(tmp_path / "run", flown)
+    page = reported(tmp_path / "run", output=tmp_path / "a.html")
+    given, _, rest = page.text.partition("./flock fly")[2].partition(" (what was typed")
+    assert rest
+    file = tmp_path / "flock.yaml"
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    file.write_text(
+        html.unescape(text.partition("<pre")[2].partition(">")[2].partition("</pre")[0])
+    )
+    words = shlex.split(given.replace("flock.yaml", str(file)))
+    parser = Parser("fly", "", "")
+    add_flock_options(parser)
+    assert flock_configuration(parser.parse_args(words)) == flown
 
 
 def test_the_report_lies_beside_the_bag_which_can_be_flown_over(
@@ -307,6 +345,8 @@ def test_whatever_is_reported_fits_in_one_file(flocks: list[tuple[int, int]]) ->
         (["nowhere"], "nowhere"),
         (["RUN", "OTHER"], "has 2 birds and RUN has 5: runs in one report must be of as many"),
         (["EMPTY"], "no recorded step is complete"),
+        (["others"], "not a bag of Flock's"),
+        (["sqlite"], "ros2 bag convert makes MCAP of it"),
         (["RUN", "--output", "no/such/a.html"], "no/such is no directory"),
         (["RUN", "--output", "bag.mcap"], "must end in one of .html, .htm"),
         (["RUN", "--output", "made.html"], "is a directory"),
@@ -323,6 +363,10 @@ def test_what_cannot_be_reported_is_said_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("made.html").mkdir()
+    Path("sqlite").mkdir()
+    Path("sqlite/sqlite_0.db3").touch()
+    with BagWriter(Path("others"), [Topic("/words", "std_msgs/msg/String")], {}) as bag:
+        bag.write("/words", 0, bytes(8))
     other = record(tmp_path / "other", FlockConfiguration(birds=2, t_max=20.0))
     empty = record(tmp_path / "empty", FlockConfiguration(birds=2, t_max=20.0), states=[])
     places = {"RUN": str(flight), "OTHER": str(other), "EMPTY": str(empty)}

@@ -85,8 +85,10 @@ def quiet_domains() -> list[int]:
     return sorted(quiet, key=lambda domain: (domain - turn) % SAFE_DOMAINS)
 
 
-def prepare_discovery(network: bool = False) -> None:
+def prepare_discovery(network: bool = False, here: str = "machine.xml") -> None:
     """Look for others on this machine only, unless `network` or the environment asks for more.
+
+    `here` are the settings of Fast DDS then.
 
     Raises FlockError where the environment asks for what ROS does not have, or for less.
     """
@@ -99,7 +101,7 @@ def prepare_discovery(network: bool = False) -> None:
     if network and reach in NARROW:
         raise FlockError(f"{RANGE} = {reach} and --network exclude each other: leave one out")
     os.environ[RANGE] = reach
-    _tell_fast_dds("network.xml" if network else "machine.xml")
+    _tell_fast_dds("network.xml" if network else here)
 
 
 def _tell_fast_dds(file: str) -> None:

@@ -27,6 +27,7 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
     columns = (
         TextColumn("step {task.completed:.0f}/{task.total:.0f}  t = {task.fields[time]:.6g}"),
         TextColumn("{task.fields[rate]:.0f} steps/s"),
+        TimeRemainingColumn(compact=True),
     )
     with _bar(what, configuration.steps, columns) as update:
         begun: list[tuple[float, int]] = []
@@ -46,7 +47,10 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
 @contextmanager
 def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], None]]:
     """Give a function that takes how much more of `total` is done; shows it, rate and time left."""
-    columns = (TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),)
+    columns = (
+        TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),
+        TimeRemainingColumn(compact=True),
+    )
     with _bar(what, total, columns) as update:
         begun, done = time.monotonic(), 0.0
 
@@ -60,9 +64,14 @@ def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], No
 
 @contextmanager
 def playback_bar(length: float) -> Iterator[Callable[[float, float, bool], None]]:
-    """Give a function that takes the recorded time reached, in s of `length`, rate and pause."""
-    columns = (TextColumn("{task.fields[time]:.3f} s  rate {task.fields[rate]:.3g}"),)
-    with _bar("playing", length, columns) as update:
+    """Give a function that takes the recorded time reached, in s of `length`, rate and pause.
+
+    Without the time left, which would count pauses in.
+    """
+    place = TextColumn(
+        f"{{task.fields[time]:.2f}} of {length:.2f} s  rate {{task.fields[rate]:.3g}}"
+    )
+    with _bar("playing", length, (place,)) as update:
 
         def show(reached: float, rate: float, paused: bool) -> None:
             what = "paused " if paused else "playing"
@@ -83,7 +92,6 @@ def _bar(
     with Progress(
         *ends,
         *columns,
-        TimeRemainingColumn(compact=True),
         console=Console(stderr=True),
         refresh_per_second=5,
     ) as bar:

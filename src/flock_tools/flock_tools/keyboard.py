@@ -12,15 +12,16 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-SPACE, UP, DOWN, RIGHT = b" ", b"\x1b[A", b"\x1b[B", b"\x1b[C"
+SPACE, QUIT, UP, DOWN, RIGHT = b" ", b"q", b"\x1b[A", b"\x1b[B", b"\x1b[C"
 _KEY = re.compile(rb"\x1b[\[O][A-D]|.", re.DOTALL)
 
 
 @contextmanager
-def keyboard() -> Iterator[Callable[[], list[bytes]]]:
+def keyboard(begin: Callable[[], None]) -> Iterator[Callable[[], list[bytes]]]:
     """Give a function that returns the keys pressed since it was last called, without waiting.
 
-    The terminal is as it was when the block ends, however it ends.
+    `begin` is called where there are keys. The terminal is as it was when the block ends, however
+    it ends.
     """
     if not (sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()):
         yield list
@@ -29,6 +30,7 @@ def keyboard() -> Iterator[Callable[[], list[bytes]]]:
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal)
     try:
+        begin()
         yield lambda: _pressed(terminal)
     finally:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)

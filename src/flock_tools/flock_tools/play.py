@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import sys
 from argparse import Namespace
@@ -19,12 +20,12 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.command_line import LONGEST, Parser, note, positive_number, print_json, run_tool
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
-from flock_sim.nodes.process import executing, ros_context
+from flock_sim.nodes.process import executing, is_alone, ros_context
 from flock_sim.progress import playback_bar
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
-from flock_tools.keyboard import DOWN, RIGHT, SPACE, UP, keyboard
+from flock_tools.keyboard import DOWN, QUIT, RIGHT, SPACE, UP, keyboard
 from flock_tools.play_schedule import BILLION, Schedule
 from flock_tools.play_topics import Selection, select
 from flock_tools.playback import Playback, Recorded
@@ -37,12 +38,14 @@ whose type can't be imported here are left out, and named. /clock is played wher
 as in every bag of Flock's; nothing is made up where it was not.
 
 On a terminal: space pauses, the right arrow plays the next message in a pause, up and down change
-the rate by a tenth. The node /flock/player has the services of rosbag2's player: ~/pause, ~/resume,
-~/toggle_paused, ~/is_paused, ~/set_rate, ~/get_rate, ~/seek, ~/play_next and ~/stop.
+the rate by a tenth, q ends it. The node /flock/player has the services of rosbag2's player:
+~/pause, ~/resume, ~/toggle_paused, ~/is_paused, ~/set_rate, ~/get_rate, ~/seek, ~/play_next and
+~/stop.
 
-Recorded states say run 0, and no flight takes them for its own; but nodes started by hand that wait
-for their clock take a played grant for it: play on another ROS_DOMAIN_ID than theirs.
-Exit status: 0 played to the end, or stopped by ~/stop; 2 bad input; 130 Ctrl-C."""
+Recorded states say run 0, and no flight takes them for its own: ./flock recorder records them if
+told that they are played (-p played:=true). Nodes started by hand that wait for their clock take a
+played grant for it: play on another ROS_DOMAIN_ID than theirs.
+Exit status: 0 played to the end, or stopped by q or ~/stop; 2 bad input; 130 Ctrl-C."""
 
 EXAMPLES = """\
   ./flock play runs/demo --rate 1000
@@ -50,6 +53,8 @@ EXAMPLES = """\
   ./flock play runs/demo --rate 0 --topics /clock /flock/bird_07/state
   ./flock play runs/demo --paused        and then, in another terminal:
   ros2 service call /flock/player/resume rosbag2_interfaces/srv/Resume"""
+
+KEYS = "space: pause or go on   right: next message   up, down: rate   q: end"
 
 FASTER = 1.1
 """What a press of the up arrow multiplies the rate by."""
@@ -73,7 +78,7 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print what was played as JSON")
     options = parser.parse_args(arguments)
     rate = _not_negative("--rate", options.rate)
-    prepare_discovery(options.network)
+    prepare_discovery(options.network, here="player.xml")
     stop = Stop(heed_interrupt=True)
     with BagReader(options.run) as bag:
         if bag.missing:
@@ -114,6 +119,9 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
             )
         player.serve(playback)
         spin()
+        if not options.paused:
+            player.meet(stop)
+        gc.freeze()  # nothing of what is here by now is looked through again, for milliseconds
         schedule.jump(span[0] + start)
         _run(playback, span, stop)
         player.wait_until_heard(stop)
@@ -154,6 +162,7 @@ def _extract(
 def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and what has its services served from then on, in another thread."""
     context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    alone = True
     try:
         with executing("single", context) as executor:
             player = Player(selection.topics, context)
@@ -162,18 +171,21 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
             try:
                 yield player, thread.start
             finally:
+                alone = is_alone(player)
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
     finally:
         rclpy.try_shutdown(context=context)
-        remove_orphans()
+        if alone:  # else who stays would have our port mapped, and not hear who gets it next
+            remove_orphans()
 
 
 def _run(playback: Playback, span: tuple[int, int], stop: Stop) -> None:
     """Play, and heed keys and signals meanwhile."""
     schedule = playback.schedule
-    with keyboard() as pressed, playback_bar((span[1] - span[0]) / BILLION) as show:
+    length = (span[1] - span[0]) / BILLION
+    with keyboard(lambda: note(KEYS)) as pressed, playback_bar(length) as show:
 
         def look() -> None:
             for key in pressed():
@@ -183,6 +195,8 @@ def _run(playback: Playback, span: tuple[int, int], stop: Stop) -> None:
                     playback.play_next()
                 elif key in (UP, DOWN):
                     playback.set_rate(schedule.rate * (FASTER if key == UP else 1.0 / FASTER))
+                elif key == QUIT:
+                    playback.stop()
             if stop:
                 playback.stop()
             show(playback.reached, schedule.rate, schedule.paused)

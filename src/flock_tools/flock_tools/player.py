@@ -37,6 +37,10 @@ AT_ONCE = 256
 MEET_EVERY = 0.02
 """Time, in s, between two looks whether all who listen are connected."""
 
+FOUND, NOBODY = 0.5, 3.5
+"""Time, in s, without news of more listeners after which those who were there are all known: when
+there are some, and when there are none. Who is there already makes itself known every 3 s."""
+
 SERVED_WITHIN = 10.0
 """Time, in s, within which the playback answers a service: it may be publishing just then."""
 
@@ -86,6 +90,18 @@ class Player(Node):
         if patient and not self._outlets[topic].wait_for_all_acked(Duration(seconds=PATIENCE)):
             del self._room[topic]
         del self._unheard[topic]
+
+    def meet(self, stop: Stop) -> None:
+        """Wait until those who listen already are connected, so that they hear the beginning."""
+        begun = changed = time.monotonic()
+        known = 0
+        while not stop and (now := time.monotonic()) - begun < PATIENCE:
+            listeners = sum(outlet.get_subscription_count() for outlet in self._outlets.values())
+            if listeners != known or not self._met():
+                known, changed = listeners, now
+            elif now - changed > (FOUND if known else NOBODY):
+                return
+            time.sleep(MEET_EVERY)
 
     def wait_until_heard(self, stop: Stop) -> None:
         """Wait until all who listen, or are about to, have what was sent; only so long."""

@@ -17,7 +17,8 @@ from flock_sim.progress import counter
 from flock_sim.run import Run
 from flock_tools.output_file import check_output, write_output
 from flock_tools.report_data import Reported, Room, reported
-from flock_tools.report_page import key_numbers, page
+from flock_tools.report_numbers import key_numbers
+from flock_tools.report_page import page
 
 ENDINGS = (".html", ".htm")
 

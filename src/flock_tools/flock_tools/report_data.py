@@ -114,6 +114,8 @@ class Reported:
 
     name: str
     configuration: FlockConfiguration
+    factor: float
+    """How much faster than real time it was flown freely; 0: in lockstep."""
     missing: str | None
     metrics: Metrics
     history: History
@@ -135,6 +137,7 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
     return Reported(
         name=str(run.path),
         configuration=run.configuration,
+        factor=run.real_time_factor,
         missing=run.missing,
         metrics=metrics,
         history=history(run, metrics.steps, members, room.buckets, show),

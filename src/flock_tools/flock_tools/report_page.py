@@ -12,35 +12,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
 from flock_sim import __version__
+from flock_sim.configuration_file import PARAMETERS, SECTION
+from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.metrics import STABLE_BELOW
 from flock_tools.report_data import Reported
+from flock_tools.report_numbers import COLUMNS, MOST_ROWS, cards, differs, rows, verdict
 
 PAGE = Path(__file__).parent / "page"
 
-SCRIPTS = ("chart.js", "report.js")
+SCRIPTS = ("chart.js", "pictures.js", "report.js")
 """What draws the pictures, in the order in which it is read."""
 
-MOST_ROWS = 500
-"""Members of all runs whose key numbers are listed."""
-
-COLUMNS = (
-    "run",
-    "verdict",
-    "mean speed (U_min)",
-    "spread sigma_U (U_min)",
-    "drag saved (%)",
-    "spacing falls towards the leader",
-    "off the linear law",
-    "steady speed U* (U_min)",
-    "drag saved in steady state (%)",
-    "leading eigenvalue (U_min/b)",
-    "recorded to t (b/U_min)",
-)
+FLAGS = {
+    "birds": "--birds",
+    "coupling": "--coupling",
+    "dt": "--dt",
+    "t_max": "--t-max",
+    "record_every": "--record-every",
+    "span_ratios": "--span-ratio",
+    "perturbations": "--perturb",
+    "links": "--link",
+}
+"""The options that say what is flown; the rest of a configuration is given by a file."""
 
 
 def page(runs: Sequence[Reported]) -> bytes:
@@ -54,14 +53,17 @@ def page(runs: Sequence[Reported]) -> bytes:
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
     text = environment.get_template("report.html").render(
-        title=" and ".join(run.name for run in runs),
-        verdicts=[_verdict(run, len(runs) > 1) for run in runs],
+        title=_listed([run.name for run in runs]),
+        verdicts=[verdict(run, len(runs) > 1) for run in runs],
+        units=_units(runs),
+        cards=cards(runs[0]) if len(runs) == runs[0].metrics.members == 1 else [],
         warnings=[run.missing for run in runs if run.missing],
         columns=COLUMNS,
-        rows=_rows(runs),
+        rows=rows(runs),
         remarks=_remarks(runs),
         names=[run.name for run in runs],
         configuration=_configuration(runs),
+        files=[(run.name, _parameter_file(run)) for run in runs],
         provenance=[{"name": run.name, "facts": _provenance(run)} for run in runs],
         decimation=" ".join(_decimation(run, len(runs) > 1) for run in runs),
         versions=f"Flock {__version__} with Python {platform.python_version()} "
@@ -94,8 +96,8 @@ def _embedded(run: Reported) -> dict[str, Any]:
     """Return what the script draws of a run."""
     history, metrics = run.history, run.metrics
     members = history.speed.shape[2]
-    gaps = (metrics.birds - 1, members)
-    steady, eigen = np.full(gaps, np.nan), np.zeros((0, members), dtype=complex)
+    flown = metrics.spacing[:members].T
+    steady, eigen = np.full_like(flown, np.nan), np.zeros((0, members), dtype=complex)
     assessment = run.theory.assessment
     if assessment is not None:
         steady = assessment.state.spacing[:, :members]
@@ -113,9 +115,11 @@ def _embedded(run: Reported) -> dict[str, Any]:
         "frame_drag_reduction": history.frame_drag_reduction,
         "lateral": metrics.lateral[:members].T,
         "span_ratio": run.configuration.span_ratio[:, :members],
-        "final_spacing": metrics.spacing[:members].T,
+        "final_spacing": flown,
         "steady_spacing": steady,
         "linear_spacing": run.theory.linear[:, :members],
+        "off_exact": np.abs(flown - steady),
+        "off_linear": np.abs(flown - run.theory.linear[:, :members]),
         "eigen_real": eigen.real,
         "eigen_imag": eigen.imag,
     }
@@ -124,7 +128,7 @@ def _embedded(run: Reported) -> dict[str, Any]:
         "birds": metrics.birds,
         "leader": metrics.leader,
         "members": members,
-        "member_names": [f": {_member(run, m)}" if _member(run, m) else "" for m in range(members)],
+        "member_names": [f": {differs(run, m)}" if differs(run, m) else "" for m in range(members)],
         "t_final": metrics.t_final,
         **{name: packed(values) for name, values in arrays.items()},
     }
@@ -135,50 +139,6 @@ def _member(run: Reported, m: int) -> str:
     ratio = run.configuration.span_ratio
     odd = np.flatnonzero(np.ptp(ratio, axis=1) > 0.0)
     return ", ".join(f"lambda_{bird + 1} = {ratio[bird, m]:g}" for bird in odd[:3])
-
-
-def _verdict(run: Reported, named: bool) -> str:
-    stable = run.metrics.stable
-    if len(stable) > 1:
-        what = f"{sum(stable)} of {len(stable)} members hold together"
-    else:
-        what = "holds together" if stable[0] else "does not hold together"
-    birds = f"{run.metrics.birds} bird{'s' * (run.metrics.birds > 1)}"
-    flock = f"{birds}, {run.configuration.coupling} coupling: {what} at t = {run.metrics.t_final:g}"
-    return f"{run.name}: {flock}" if named else flock
-
-
-def _rows(runs: Sequence[Reported]) -> list[list[str]]:
-    """Return the key numbers of every member of every run, as text, in the order of COLUMNS."""
-    places = [(run, m) for run in runs for m in range(run.metrics.members)]
-    return [_row(run, m) for run, m in places[:MOST_ROWS]]
-
-
-def _row(run: Reported, m: int) -> list[str]:
-    metrics, assessment = run.metrics, run.theory.assessment
-    name = run.name if metrics.members == 1 else f"{run.name}, member {m + 1}"
-    error = metrics.profile_error[m]
-    ordered = ("yes" if metrics.hierarchical[m] else "no") if metrics.leader > 2 else "-"
-    cells = [
-        name,
-        "holds together" if metrics.stable[m] else "does not hold together",
-        f"{metrics.mean_speed[m]:.9f}",
-        f"{metrics.speed_std[m]:.3e}",
-        f"{100.0 * metrics.mean_drag_reduction[m]:.2f}",
-        ordered,
-        "-" if error is None else f"{error:.1e}",
-    ]
-    if assessment is None or not assessment.state.exists[m]:
-        cells += ["none" if assessment is not None else "not found", "-", "-"]
-    else:
-        leading = assessment.leading_eigenvalue[m]
-        swing = f" \N{PLUS-MINUS SIGN} {abs(leading.imag):.4e} i" if leading.imag else ""
-        cells += [
-            f"{assessment.state.speed[m]:.9f}",
-            f"{100.0 * assessment.state.drag_reduction[:, m].mean():.2f}",
-            "not computed" if np.isnan(leading) else f"{leading.real:.4e}{swing}",
-        ]
-    return [*cells, f"{metrics.t_final:g}"]
 
 
 def _remarks(runs: Sequence[Reported]) -> list[str]:
@@ -195,6 +155,29 @@ def _remarks(runs: Sequence[Reported]) -> list[str]:
                 "more would not fit in one file."
             )
     return remarks
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def _units(runs: Sequence[Reported]) -> dict[str, str]:
+    """Return what the units are in SI, where all runs have the same; else nothing."""
+    each = [
+        {
+            "b": f"{0.5 * run.configuration.wing_span:g} m",
+            "speed": f"{run.configuration.min_drag_speed:g} m/s",
+            "time": f"{1e3 * run.configuration.second:.4g} ms",
+        }
+        for run in runs
+    ]
+    return each[0] if all(units == each[0] for units in each) else {}
+
+
+def _parameter_file(run: Reported) -> str:
+    """Return what flies this flock again, for `--config`."""
+    parameters = {SECTION: {PARAMETERS: run.configuration.parameters()}}
+    return yaml.safe_dump(parameters, sort_keys=False, allow_unicode=True)
 
 
 def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]]:
@@ -214,15 +197,33 @@ def _value(value: object) -> str:
 
 
 def _provenance(run: Reported) -> list[tuple[str, str]]:
-    again = f"./flock reference --repeat {shlex.quote(run.name)}"
+    again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
+    if run.factor:
+        again = f"no two free flights are alike; in lockstep, {again}"
     return [
         ("flown by", f"Flock {run.flock_version}"),
-        ("command", f"not recorded in a bag; {again} flies it again"),
-        *[("file", f"{name}, {size} bytes") for name, size, _ in run.files],
+        ("command", f"{command(run)} (what was typed is not recorded; this flies the same flock)"),
+        ("to the bit", again),
+        *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
         *[("SHA-256", digest) for _, _, digest in run.files],
         ("pushes in flight", "; ".join(run.pushes) or "none"),
         ("complete", run.missing or "yes"),
     ]
+
+
+def command(run: Reported) -> str:
+    """Return what flies the flock of `run`: what of its configuration is not a default."""
+    flown, usual = run.configuration.parameters(), FlockConfiguration().parameters()
+    words = []
+    for key, value in flown.items():
+        if value != usual[key] and key in FLAGS:
+            each = value if isinstance(value, list) else [value]
+            words += [word for entry in each for word in (FLAGS[key], str(entry))]
+    if any(flown[key] != usual[key] for key in flown.keys() - FLAGS.keys()):
+        words += ["--config", "flock.yaml"]  # which is in the page, too
+    if run.factor:
+        words += ["--mode", "free", "--real-time-factor", f"{run.factor:g}"]
+    return shlex.join(["./flock", "fly", *words])
 
 
 def _decimation(run: Reported, named: bool) -> str:
@@ -237,26 +238,3 @@ def _decimation(run: Reported, named: bool) -> str:
         )
     who = f"{run.name}: " if named else ""
     return f"{who}{curves}. The formation is shown at {len(history.frame_time)} of them."
-
-
-def key_numbers(run: Reported) -> dict[str, Any]:
-    """Return what `--json` tells of a run; lists have one entry a member."""
-    metrics, assessment = run.metrics, run.theory.assessment
-    leading = [] if assessment is None else assessment.leading_eigenvalue
-    return {
-        "run": run.name,
-        "missing": run.missing,
-        "t_final": metrics.t_final,
-        "members": metrics.members,
-        "members_drawn": run.history.speed.shape[2],
-        "stable": metrics.stable,
-        "mean_speed": metrics.mean_speed,
-        "speed_std": metrics.speed_std,
-        "mean_drag_reduction": metrics.mean_drag_reduction,
-        "hierarchical": metrics.hierarchical,
-        "profile_error": metrics.profile_error,
-        "steady_speed": None if assessment is None else assessment.state.speed,
-        "leading_eigenvalue": [[value.real, value.imag] for value in leading],
-        "rows": run.history.rows,
-        "sha256": [digest for _, _, digest in run.files],
-    }

@@ -100,25 +100,32 @@ class Watcher(Node):
 
 def table(sample: Sample) -> Table:
     """Return the picture of a flock as people read it."""
-    title = f"{sample.birds} birds, {sample.coupling or 'unknown'} coupling"
+    title = f"{sample.birds} birds" + (f", {sample.coupling} coupling" if sample.coupling else "")
     if sample.members > 1:
         title += f", member {sample.member} of {sample.members}"
     end = "" if sample.end is None else f" of {sample.end}"
     rate = "" if sample.rate is None else f", {sample.rate:.0f} steps/s"
     drawn = Table(title=f"{title}\nstep {sample.step}{end}, t = {sample.time:g}{rate}")
-    for name in ("bird", "position", "speed", "drag saved, %", "hears", "age, s"):
+    known = sample.drag_reduction is not None
+    drag = [] if known else sample.interaction_drag
+    columns = {
+        "bird": [
+            f"{k + 1}{' leader' if k + 1 == sample.leader else ''}" for k in range(sample.birds)
+        ],
+        "position": [f"{value:.4f}" for value in sample.position],
+        "speed": [f"{value:.6f}" for value in sample.speed],
+        "drag saved, %": [f"{100.0 * value:.2f}" for value in sample.drag_reduction or ()],
+        "drag saved": [f"{0.0 - value:.5f}" for value in drag],
+        "hears": [_listed(birds) for birds in sample.hears or ()],
+        "age, s": [f"{value:.1f}" for value in sample.age],
+    }
+    shown = {name: cells for name, cells in columns.items() if cells}
+    for name in shown:
         drawn.add_column(name, justify="right")
-    for k in range(sample.birds):
-        saved = "" if sample.drag_reduction is None else f"{100 * sample.drag_reduction[k]:.2f}"
-        hears = "" if sample.hears is None else _listed(sample.hears[k])
-        drawn.add_row(
-            f"{k + 1}{' leader' if k + 1 == sample.leader else ''}",
-            f"{sample.position[k]:.4f}",
-            f"{sample.speed[k]:.6f}",
-            saved,
-            hears,
-            f"{sample.age[k]:.1f}",
-        )
+    for cells in zip(*shown.values(), strict=True):
+        drawn.add_row(*cells)
+    if not known:
+        drawn.caption = "no clock has told what is flown: drag is in ρ b² U_min²"
     return drawn
 
 

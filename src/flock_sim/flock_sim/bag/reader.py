@@ -103,11 +103,15 @@ def _recordings(path: Path) -> list[Path]:
     try:
         if not path.is_dir():
             return [path]
-        files = [entry for entry in path.iterdir() if entry.suffix == ".mcap"]
+        entries = list(path.iterdir())
     except OSError as error:
         raise FlockError(f"{path} can't be read: {error.strerror}") from error
+    files = [entry for entry in entries if entry.suffix == ".mcap"]
     if not files:
-        raise FlockError(f"{path} is not a bag: there is no .mcap file in it")
+        why = "there is no .mcap file in it"
+        if any(entry.suffix == ".db3" for entry in entries):
+            why += ", but SQLite; ros2 bag convert makes MCAP of it"
+        raise FlockError(f"{path} is not a bag that can be read: {why}")
     # rosbag2 splits a long bag into NAME_0.mcap, NAME_1.mcap, ... NAME_10.mcap
     return sorted(files, key=lambda file: (_number(file.stem), file.name))
 

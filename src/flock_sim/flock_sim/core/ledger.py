@@ -59,10 +59,12 @@ class Ledger:
         record_stages: bool = False,
         saved: int = -1,
         free: bool = False,
+        played: bool = False,
     ) -> None:
         """Expect every recorded step of `configuration` after `saved`; `free`: of a free flight.
 
         Birds that fly freely tell the ages of what they know, and have no memory to go on from.
+        Nor has who is `played`: such states are of run 0, as those of a bag are.
         """
         self.ignored_for: Counter[str] = Counter()
         """How many messages were left out, by the reason."""
@@ -73,7 +75,7 @@ class Ledger:
         self._rows: dict[int, _Gathering] = {}
         self._wings: dict[int, bytes] = {}
         remembers = configuration.linkage.remembers
-        self._remember = [bird for bird in self._birds if not free and remembers(bird)]
+        self._remember = [bird for bird in self._birds if not (free or played) and remembers(bird)]
         self._tell_ages = len(self._birds) if free else 0
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every

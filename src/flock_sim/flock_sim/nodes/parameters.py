@@ -25,6 +25,7 @@ OPERATION_MEANING = {
     "output": "directory of the bag",
     "force": "whether a bag that is there is replaced",
     "resume": "whether a bag that is there is gone on with",
+    "played": "whether a flight is recorded that is played, and not flown",
     "executor": "which executor of rclpy serves the node",
     "timeout": "how long to wait without news, in s",
     "stopwatch": "file that a process of birds writes where its time went to; empty: none",

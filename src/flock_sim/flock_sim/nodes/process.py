@@ -45,6 +45,7 @@ OPERATION: dict[str, Any] = {
     "output": "",
     "force": False,
     "resume": False,
+    "played": False,
     "executor": "events",
     "timeout": 600.0,
     "stopwatch": "",
@@ -109,6 +110,11 @@ def ros_context(arguments: Sequence[str]) -> Context:
         args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
     )
     return context
+
+
+def is_alone(node: Node) -> bool:
+    """Whether no other node is known on the domain of `node`."""
+    return len(node.get_node_names()) <= 1
 
 
 def run_node(

@@ -40,6 +40,7 @@ from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.endpoints import DrainedNode, latched
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
+from flock_sim.nodes.played_recorder import check_played, record_played
 from flock_sim.nodes.process import Process, executing, new_life, run_node
 from flock_sim.recording import Recording, recording
 from flock_sim.stop import Stop
@@ -355,6 +356,8 @@ def work(process: Process) -> None:
     if not operation["output"]:
         raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
     output = Path(operation["output"])
+    if operation["played"]:
+        check_played(operation)
     resume = operation["resume"] and output.is_dir()
     if output.exists() and not resume and not operation["force"]:
         raise FlockError(
@@ -363,6 +366,9 @@ def work(process: Process) -> None:
         )
     if not resume:
         claim_output(output, operation["force"])
+    if operation["played"]:
+        record_played(process, output)
+        return
     with (
         recording(
             output, configuration, grants=True, stages=stages, resume=resume, factor=factor
@@ -393,10 +399,12 @@ _main = run_node(
     "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
     "with it.\n\n"
     "parameters: output (a directory), force (replace what is there) or resume (go on with the\n"
-    "bag that is there, or begin one), record_stages, run_id, timeout (s without news), executor\n"
-    "(events|single), and all keys of the configuration file.",
+    "bag that is there, or begin one), played (record what ./flock play publishes, in a bag as\n"
+    "reference writes it; give it the configuration that was flown), record_stages, run_id,\n"
+    "timeout (s without news), executor (events|single), and all keys of the configuration file.",
     "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml\n"
-    "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml",
+    "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml\n"
+    "  ./flock recorder --ros-args -p output:=runs/again -p played:=true --params-file flock.yaml",
     work,
 )
 

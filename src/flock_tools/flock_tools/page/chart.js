@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Numbers, colours and charts of the report: plain JavaScript, no library.
-// All numbers are in the element with the id "data"; report.js follows in the same script.
+// All numbers are in the element with the id "data"; pictures.js and report.js follow in the same script.
 "use strict";
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const element = (id) => document.getElementById(id);
 const LEFT = 60, RIGHT = 24, TOP = 10, BOTTOM = 40; // px around a chart; the cursor's CSS knows them
-const RUNS = ["#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7"];
+const RUNS = 6; // colours, in report.css
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
-const RAMP = [[59, 111, 212], [181, 70, 143], [230, 134, 42]]; // blue, magenta, orange: on light and dark
+const RAMP = [[59, 111, 212], [181, 70, 143], [230, 134, 42]]; // as in report.css; on light and dark
 const WING = [[0, 0.15], [0.04, 0.11], [0.4, 0.1], [0.75, 0.02], [1, -0.12], [0.72, -0.1], [0.4, -0.1],
   [0.07, -0.13], [0.04, -0.22], [0, -0.23]]; // the right wing from above: across, along, over the semi-span
 const OUTLINE = [...WING, ...WING.slice(1, -1).reverse().map(([across, along]) => [-across, along])];
@@ -79,6 +79,10 @@ function ticks(low, high, most, log) {
   if (log) {
     const first = Math.ceil(Math.log10(low)), last = Math.floor(Math.log10(high));
     const step = Math.max(1, Math.ceil((last - first + 1) / most));
+    if (last - first < 2) {
+      return range(last - first + 3).flatMap((k) => [1, 2, 5].map((factor) => factor * 10 ** (first - 1 + k)))
+        .filter((value) => low <= value && value <= high);
+    }
     return range(Math.max(0, Math.floor((last - first) / step) + 1)).map((k) => 10 ** (first + k * step));
   }
   const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw));
@@ -104,7 +108,7 @@ function wingStyle(k, count) {
   return { colour: ramp(fromTail / Math.max(1, head)), dash: fromTail === k ? [] : [4, 4] };
 }
 
-const runStyle = (r) => ({ colour: RUNS[r % RUNS.length], dash: DASHES[r % DASHES.length] });
+const runStyle = (r) => ({ colour: css(`--run-${r % RUNS}`), dash: DASHES[r % DASHES.length] });
 
 // Charts ----------------------------------------------------------------------------------------------------
 
@@ -124,12 +128,13 @@ function canvasOf(id) {
 
 /**
  * Draw lines, or marks, in a frame with axes. A line is {x, y, colour, dash, mark}; `rules` are dotted lines at
- * a value of x or y; `what` says below what is across.
+ * a value of x or y; `what` says below what is across; `whole`: that is whole numbers.
+ * `wide`, `tall`: what the frame is to show, where not all.
  */
-function chart(id, { lines, log = false, what, wide = null, rules = [] }) {
+function chart(id, { lines, log = false, what, wide = null, tall = null, whole = false, rules = [] }) {
   const { context, width, height } = canvasOf(id);
   const [left, right] = wide || extent(lines.map((line) => line.x).concat(rules.map((rule) => [rule.x])));
-  const [low, high] = extent(lines.map((line) => line.y).concat(rules.map((rule) => [rule.y])), log);
+  const [low, high] = tall || extent(lines.map((line) => line.y).concat(rules.map((rule) => [rule.y])), log);
   const scaled = log ? Math.log10 : (value) => value;
   const across = (x) => LEFT + ((x - left) / (right - left || 1)) * (width - LEFT - RIGHT);
   const up = (y) => height - BOTTOM - ((scaled(y) - scaled(low)) / (scaled(high) - scaled(low))) * (height - TOP - BOTTOM);
@@ -143,17 +148,19 @@ function chart(id, { lines, log = false, what, wide = null, rules = [] }) {
     context.fillText(told(y, 4), LEFT - 6, up(y));
   }
   context.textAlign = "center";
-  for (const x of ticks(left, right, width < 500 ? 4 : 8, false)) {
+  for (const x of ticks(left, right, width < 500 ? 4 : 8, false).filter((x) => !whole || Number.isInteger(x))) {
     context.fillText(told(x, 4), across(x), height - BOTTOM + 14);
   }
   context.fillText(what, (LEFT + width - RIGHT) / 2, height - 8);
+  context.strokeStyle = css("--control");
+  stroke(context, [LEFT, LEFT, width - RIGHT], [TOP, height - BOTTOM, height - BOTTOM]);
   context.save();
   context.beginPath();
   context.rect(LEFT, TOP - 4, width - LEFT - RIGHT + 4, height - TOP - BOTTOM + 8);
   context.clip();
   for (const line of lines) {
     context.strokeStyle = context.fillStyle = line.colour;
-    context.lineWidth = 1.3;
+    context.lineWidth = 1.4;
     context.setLineDash(line.dash || []);
     const places = range(line.y.length).filter((k) => !log || !(line.y[k] <= 0));
     if (line.mark === undefined) stroke(context, places.map((k) => across(line.x[k])), places.map((k) => up(line.y[k])));
@@ -199,12 +206,20 @@ function mark(context, shape, x, y) {
 
 /** Put rows of cells into the table beside a picture, with text in them and never markup. */
 function table(id, head, rows) {
-  const cells = (kind, list) => {
+  const cells = (list, kinds) => {
     const line = document.createElement("tr");
-    for (const text of list) line.appendChild(document.createElement(kind)).textContent = text;
+    list.forEach((text, k) => {
+      const [kind, scope] = kinds(k);
+      const cell = line.appendChild(document.createElement(kind));
+      cell.textContent = text;
+      if (scope) cell.scope = scope;
+    });
     return line;
   };
-  element(`${id}-table`).replaceChildren(cells("th", head), ...rows.map((list) => cells("td", list)));
+  const top = document.createElement("thead"), body = document.createElement("tbody");
+  top.append(cells(head, () => ["th", "col"]));
+  body.append(...rows.map((list) => cells(list, (k) => (k === 0 ? ["th", "row"] : ["td"]))));
+  element(`${id}-table`).replaceChildren(top, body);
 }
 
 const say = (id, words) => element(id).setAttribute("aria-label", words);

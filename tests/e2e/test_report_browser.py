@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report in a real browser: it moves, asks nobody for anything, and can be read by everybody.
+
+Chromium is the machine's own (`apt-get install chromium`); axe-core judges what can be accessed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import axe_playwright_python
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from flock_sim import recording
+from flock_sim.core.configuration import FlockConfiguration
+from flock_tools.report import tool
+from unit.flights import record
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
+HOSTILE = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
+WIDE, NARROW = (1200, 900), (390, 844)
+LARGEST = 6_000_000
+PARTS = ("flight", "theory", "configuration", "provenance")
+
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="there is no Chromium here: apt-get install chromium"
+)
+
+Opener = Callable[..., Page]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        # A sandbox of its own is what root has not.
+        arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Reports on one flight, on runs compared, on many members, on a long one, and on markup."""
+    directory = tmp_path_factory.mktemp("reports")
+    flock = FlockConfiguration(t_max=300.0, record_every=1)
+    one = record(directory / "one", flock)
+    all_to_all = record(directory / "all", FlockConfiguration(t_max=200.0, coupling="all"))
+    many = record(
+        directory / "members", FlockConfiguration(t_max=100.0, span_ratios=("4=0.9,1.0,1.1",))
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "__version__", HOSTILE)
+        markup = record(directory / "<script>x", FlockConfiguration(birds=3, t_max=20.0))
+    runs = {
+        "one": [one],
+        "compared": [one, all_to_all, many],
+        "members": [many],
+        "markup": [markup],
+    }
+    made = {name: directory / f"{name}.html" for name in runs}
+    for name, paths in runs.items():
+        assert tool([*map(str, paths), "--output", str(made[name])]) == 0
+    return made
+
+
+@contextmanager
+def opening(browser: Browser, path: Path, size: tuple[int, int], scheme: str) -> Iterator[Page]:
+    """Give an opened page; it may complain of nothing, and ask for nothing but itself."""
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]},
+        color_scheme="dark" if scheme == "dark" else "light",
+    )
+    page, said, asked = context.new_page(), [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("dialog", lambda dialog: (said.append(dialog.message), dialog.dismiss()))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(path.as_uri())
+    try:
+        yield page
+        assert said == []
+        assert [url for url in asked if not url.startswith("data:")] == [path.as_uri()]
+    finally:
+        context.close()
+
+
+@pytest.fixture
+def opened(browser: Browser, pages: dict[str, Path]) -> Iterator[Opener]:
+    """Open one page after the other, in a window of a size and a colour scheme."""
+    with ExitStack() as stack:
+
+        def opener(name: str, size: tuple[int, int] = WIDE, scheme: str = "light") -> Page:
+            return stack.enter_context(opening(browser, pages[name], size, scheme))
+
+        yield opener
+
+
+def picture(page: Page, name: str) -> str:
+    """Return the pixels of a canvas."""
+    return str(page.evaluate(f"document.getElementById('{name}').toDataURL()"))
+
+
+def positions(page: Page) -> list[str]:
+    """Return where the table beside the formation says that each bird is along the flight."""
+    cells = page.locator("#formation-table tbody td:nth-child(3)")
+    return [text.strip() for text in cells.all_text_contents()]
+
+
+def test_the_slider_moves_the_birds_and_the_cursor_of_the_curves(opened: Opener) -> None:
+    page = opened("one")
+    before, drawn = positions(page), picture(page, "formation")
+    assert len(before) == 13
+    cursor = page.locator("#speed + .cursor")
+    end = cursor.bounding_box()
+    page.locator("#time").fill("0")
+    assert page.locator("#now").text_content() == "t = 0"
+    start = cursor.bounding_box()
+    assert start
+    assert end
+    assert start["x"] < end["x"]
+    assert picture(page, "formation") != drawn
+    moved = positions(page)
+    assert moved != before
+    # They start in a V of 45 degrees behind the leader: see docs/model.md.
+    across = page.locator("#formation-table tbody td:nth-child(2)").all_text_contents()
+    for aside, along in zip(across, moved, strict=True):
+        assert float(along) == pytest.approx(-abs(float(aside)), rel=1e-4, abs=1e-4)
+    page.locator("#time").focus()
+    page.keyboard.press("ArrowRight")
+    assert positions(page) != moved
+
+
+def test_the_flight_is_played_to_its_end(opened: Opener) -> None:
+    page = opened("one")
+    ended = page.locator("#now").text_content()
+    page.locator("#time").evaluate("slider => { slider.value = slider.max - 2; }")
+    page.locator("#time").dispatch_event("input")
+    assert page.locator("#now").text_content() != ended
+    page.locator("#play").click()
+    expect(page.locator("#now")).to_have_text(str(ended))
+    expect(page.locator("#play")).to_have_text("Play")
+
+
+def test_a_click_in_a_curve_goes_to_its_time(opened: Opener) -> None:
+    page = opened("one")
+    page.locator("#speed").click(position={"x": 61, "y": 60})
+    assert page.locator("#now").text_content() in ("t = 0", "t = 1")
+
+
+def test_tabs_are_walked_by_keyboard_and_show_their_part(opened: Opener) -> None:
+    page = opened("one")
+    panels = page.locator("[role=tabpanel]")
+    assert panels.count() == len(PARTS)
+    page.locator("#tab-flight").focus()
+    for key, part in [
+        ("ArrowRight", "theory"),
+        ("ArrowRight", "configuration"),
+        ("End", "provenance"),
+        ("ArrowRight", "flight"),
+        ("ArrowLeft", "provenance"),
+        ("Home", "flight"),
+    ]:
+        page.keyboard.press(key)
+        assert page.evaluate("document.activeElement.id") == f"tab-{part}"
+        assert [each for each in PARTS if page.locator(f"#{each}").is_visible()] == [part]
+        assert page.locator(f"#tab-{part}").get_attribute("aria-selected") == "true"
+    assert "stable" in str(page.locator(".cards").text_content())
+    page.locator("#tab-theory").click()
+    assert "off the exact steady state" in str(page.locator("#profile-words").text_content())
+    assert page.locator("#eigenvalues-table tbody tr").count() == 25
+
+
+def test_everything_that_is_operated_is_reached_by_the_tab_key(opened: Opener) -> None:
+    page = opened("compared")
+    reached = set()
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate("document.activeElement.id || document.activeElement.className"))
+    assert {"pick", "run", "tab-flight", "play", "time"} <= reached
+
+
+def test_members_and_runs_are_browsed(opened: Opener) -> None:
+    page = opened("members")
+    seen = {picture(page, "spacing")}
+    for _ in range(2):
+        page.locator("#after").click()
+        seen.add(picture(page, "spacing"))
+    assert len(seen) == 3
+    assert page.locator("#member").input_value() == "2"
+    page.get_by_role("button", name="member 2").click()
+    assert page.locator("#member").input_value() == "1"
+    assert page.locator("tr[aria-current=true]").count() == 1
+    page = opened("compared")
+    drawn = picture(page, "speed")
+    page.locator("#run").select_option("1")
+    assert picture(page, "speed") != drawn
+    assert page.locator("#legend li").count() == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "scheme"),
+    [
+        ("one", WIDE, "light"),
+        ("one", NARROW, "dark"),
+        ("compared", WIDE, "dark"),
+        ("compared", NARROW, "light"),
+    ],
+)
+def test_axe_finds_nothing_amiss_and_nothing_is_wider_than_the_screen(
+    opened: Opener, name: str, size: tuple[int, int], scheme: str
+) -> None:
+    page = opened(name, size, scheme)
+    for part in PARTS:
+        page.locator(f"#tab-{part}").click()
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    # All at once, as on paper: each look of axe at the page costs seconds.
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    assert [each for each in PARTS if page.locator(f"#{each}").is_visible()] == list(PARTS)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    found = page.evaluate(f"{AXE.read_text(encoding='utf-8')}\n;axe.run()")
+    assert len(found["passes"]) > 20
+    violations = [
+        (each["id"], [at["html"] for at in each["nodes"]]) for each in found["violations"]
+    ]
+    assert violations == []
+
+
+def test_dark_mode_is_dark(opened: Opener) -> None:
+    shades = {}
+    for scheme in ("light", "dark"):
+        page = opened("one", WIDE, scheme)
+        shades[scheme] = [
+            sum(map(int, page.evaluate(f"getComputedStyle(document.body).{what}")[4:-1].split(",")))
+            for what in ("backgroundColor", "color")
+        ]
+    assert shades["light"][0] > 600 > 300 > shades["light"][1]
+    assert shades["dark"][0] < 150 < 600 < shades["dark"][1]
+
+
+def test_markup_in_what_was_recorded_is_shown_as_text(opened: Opener) -> None:
+    page = opened("markup")
+    assert "<script>x" in str(page.locator("h1").text_content())
+    page.locator("#tab-provenance").click()
+    assert HOSTILE in page.locator("#provenance").inner_text()
+    assert page.locator("img").count() == 0
+    assert page.locator("script").count() == 2
+    assert page.title().startswith("Flock report: ")
+
+
+def test_long_runs_fit_in_one_file(
+    browser: Browser, pages: dict[str, Path], tmp_path: Path
+) -> None:
+    long = record(tmp_path / "long", FlockConfiguration(t_max=1e5))
+    one = pages["one"].with_suffix("")
+    for name, runs in {"long": [long], "both": [long, one, long, one]}.items():
+        page = tmp_path / f"{name}.html"
+        assert tool([*map(str, runs), "--output", str(page)]) == 0
+        assert page.stat().st_size < LARGEST
+        with opening(browser, page, WIDE, "light") as shown:
+            assert positions(shown)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A playback is operated from the keyboard of a real terminal, which is left as it was."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import termios
+from typing import Any
+
+from flock_interfaces import srv
+from flock_interfaces.msg import BirdState
+from flock_sim.core import topics
+from terminal import Terminal
+from visitor import Visitor
+
+RIGHT, UP, DOWN = b"\x1b[C", b"\x1b[A", b"\x1bOB"
+"""As terminals send them; the last in the mode of applications."""
+
+
+def test_keys_pause_step_change_the_rate_and_end(terminal: Terminal, visitor: Visitor) -> None:
+    terminal.well("reference", "--birds", 2, "--t-max", 100, "--output", "bag")
+    heard = visitor.hear(BirdState, topics.state_topic(1), raw=True)
+    keys, screen = pty.openpty()
+    try:
+        before = termios.tcgetattr(screen)
+        job = terminal.start(
+            *("play", "bag", "--paused", "--topics", topics.state_topic(1)),
+            stdin=screen,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        ).until_said("space: pause")
+
+        def ask(kind: Any, name: str) -> Any:
+            return visitor.ask(kind, f"/flock/player/{name}")
+
+        visitor.until(lambda: all(s.get_publisher_count() for s in visitor.node.subscriptions))
+        os.write(keys, RIGHT)
+        visitor.until(lambda: len(heard) == 1)
+        os.write(keys, RIGHT + RIGHT)
+        visitor.until(lambda: len(heard) == 3)
+        os.write(keys, UP + UP + DOWN + DOWN + DOWN)
+        visitor.until(lambda: ask(srv.GetRate, "get_rate").rate < 0.95)
+        os.write(keys, b" ")
+        visitor.until(lambda: not ask(srv.IsPaused, "is_paused").paused)
+        os.write(keys, b"x ")
+        visitor.until(lambda: ask(srv.IsPaused, "is_paused").paused)
+        os.write(keys, b"q")
+        visitor.until(lambda: not job.running)
+        done = job.wait()
+        assert done.status == 0, done.stderr
+        assert termios.tcgetattr(screen) == before
+    finally:
+        os.close(keys)
+        os.close(screen)
