@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest.
 
-.PHONY: setup demo test torture lint bench figures clean help
+.PHONY: setup demo test torture lint docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
 	@tools/setup
@@ -26,6 +26,13 @@ lint: setup  ## check style and types
 	@./flock python -m ruff check
 	@./flock python -m ruff format --check
 	@./flock python -m mypy
+
+docs: setup  ## write docs/tools.md and docs/messages.md anew, and build the site in build/site
+	@./flock python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements/docs.txt
+	@./flock python tools/generated_docs.py
+	@NO_MKDOCS_2_WARNING=true ./flock python -m mkdocs build --strict --site-dir build/site
+	@echo "The site is build/site: open build/site/index.html in a browser. Its search needs a server:"
+	@echo "  python3 -m http.server --directory build/site"
 
 figures: setup  ## redraw all figures in docs/figures
 	@./flock figures
