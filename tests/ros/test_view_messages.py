@@ -68,7 +68,9 @@ def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:
     assert told.transform.rotation.w == 1.0
     # There is no wheel of tf2_msgs; others know the type.
     store = get_typestore(Stores.ROS2_JAZZY)
-    message = store.deserialize_cdr(view_messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage")
+    message = store.deserialize_cdr(
+        view_messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage"
+    )
     (same,) = message.transforms
     assert (same.header.frame_id, same.child_frame_id) == ("world", "flock")
     assert (same.header.stamp.sec, same.header.stamp.nanosec) == (1, 2)

@@ -28,7 +28,8 @@ class FoxgloveServer:
 
         Raises FlockError where these can't be had, or a type is not installed.
         """
-        context = foxglove.Context()
+        # Kept: with it, its channels would go.
+        self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(
                 name="flock view",
@@ -36,7 +37,7 @@ class FoxgloveServer:
                 port=port,
                 capabilities=[Capability.Time],
                 message_backlog_size=BACKLOG,
-                context=context,
+                context=self._context,
             )
         except RuntimeError as error:
             reason = str(error).rpartition("Failed to bind port: ")[2]
@@ -49,7 +50,7 @@ class FoxgloveServer:
                 topic,
                 schema=foxglove.Schema(name=kind, encoding="ros2msg", data=_definition(kind)),
                 message_encoding="cdr",
-                context=context,
+                context=self._context,
             )
             for topic, kind in types.items()
         }
