@@ -30,6 +30,8 @@ lint: setup  ## check style and types
 figures: setup  ## redraw all figures in docs/figures
 	@./flock figures
 	@./flock survey --samples 20000 --output docs/figures/survey.png
+	@./flock reference --output runs/figures --force
+	@./flock view --picture docs/figures/view.png runs/figures
 
 bench: setup  ## measure throughput
 	@if grep -q '^[^#]' requirements/bench.txt; then \

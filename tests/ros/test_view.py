@@ -22,7 +22,9 @@ from visualization_msgs.msg import MarkerArray
 from websockets.sync.client import ClientConnection, connect
 
 from flock_sim.core.messages import FRAME
+from flock_sim.errors import FlockError
 from flock_sim.run import Run
+from flock_tools.foxglove_server import FoxgloveServer
 from flock_tools.view_picture import scene_of
 from flock_tools.viewer import FOXGLOVE_TYPES
 from terminal import Job, Terminal
@@ -175,14 +177,13 @@ def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
             assert len(message.data) == message.height * message.step
 
 
-def test_a_port_that_is_taken_is_said_at_once(terminal: Terminal) -> None:
+def test_a_port_that_is_taken_is_said_at_once() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        done = terminal.run("view", "--foxglove", port)
-    assert done.status == 2
-    assert done.error.startswith(f"error: --foxglove {port}: can't be served on 127.0.0.1: ")
-    assert "Address already in use" in done.error
-    assert "choose another port" in done.error
+        with pytest.raises(FlockError, match="Address already in use; choose another") as raised:
+            FoxgloveServer("127.0.0.1", port, FOXGLOVE_TYPES)
+    assert str(raised.value).startswith(f"--foxglove {port}: can't be served on 127.0.0.1: ")
+    assert raised.value.exit_status == 2
 
 
 def test_a_silent_domain_is_named(terminal: Terminal) -> None:

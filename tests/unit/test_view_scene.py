@@ -14,7 +14,8 @@ from flock_sim.core.scaling import Scales
 from flock_tools import wake
 from flock_tools.bird_shape import BIRD, SHADE
 from flock_tools.birds_eye import DRAG_SAVED, OUTLINE
-from flock_tools.view_scene import UPWASH, Kind, Moment, Scene, Shape, scene
+from flock_tools.view_moment import Moment
+from flock_tools.view_scene import UPWASH, Kind, Scene, Shape, scene
 
 RATIO = np.array([0.9, 1.0, 1.1, 1.0, 0.8])
 

@@ -40,7 +40,7 @@ class FoxgloveServer:
                 context=self._context,
             )
         except RuntimeError as error:
-            reason = str(error).rpartition("Failed to bind port: ")[2]
+            reason = str(error).rpartition("Failed to bind port: ")[2].partition(" (os error")[0]
             raise FlockError(
                 f"--foxglove {port}: can't be served on {host}: {reason}; choose another port, or "
                 "0 for one that is free, or another --host"

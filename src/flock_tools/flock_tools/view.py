@@ -142,7 +142,6 @@ def _publish(
 ) -> None:
     """Publish what is heard until `stop`. Raises FlockError where that is nothing."""
     # Here, so that a picture and bad input need not wait for them.
-    from flock_tools.foxglove_server import FoxgloveServer
     from flock_tools.viewer import FOXGLOVE_TYPES, MARKERS_TOPIC, Viewer
     from flock_tools.watcher import first_sample, watching
 
@@ -150,6 +149,10 @@ def _publish(
     with results_only_on_stdout(), ExitStack() as opened:
         server = None
         if port is not None:
+            try:
+                from flock_tools.foxglove_server import FoxgloveServer
+            except ImportError:
+                raise FlockError(f"--foxglove {port}: needs `pip install foxglove-sdk`") from None
             server = opened.enter_context(FoxgloveServer(host, port, FOXGLOVE_TYPES))
         viewer, executor = opened.enter_context(
             watching(lambda context: Viewer(context, member, assumed, server))

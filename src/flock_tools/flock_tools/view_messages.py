@@ -13,7 +13,8 @@ import numpy as np
 
 from flock_sim.core.kernel import FloatArray
 from flock_sim.core.messages import ENCAPSULATION, FRAME, align, put
-from flock_tools.view_scene import Kind, Moment, Scene, Shape
+from flock_tools.view_moment import Moment
+from flock_tools.view_scene import Kind, Scene, Shape
 
 WORLD = "world"
 """The frame in which the air is at rest: its x is the position that birds state."""

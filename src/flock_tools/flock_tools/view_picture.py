@@ -22,7 +22,8 @@ from flock_sim.run import Run
 from flock_tools.birds_eye import DRAG_SAVED, saved_scale
 from flock_tools.dataset import read
 from flock_tools.style import STYLE, flock_name
-from flock_tools.view_scene import UPWASH, Kind, Moment, Scene, Shape, scene
+from flock_tools.view_moment import Moment
+from flock_tools.view_scene import UPWASH, Kind, Scene, Shape, scene
 
 WIDTH = 10.0
 """Of the picture, in in."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flock in space: what `view` shows of it, as coloured shapes in SI units.
 
-The frame of the shapes moves with the flock: its origin is the leader's wing (that of the middle of
-those that are anywhere, should the leader not be), x is forward, y left and z up, in m.
+The frame of the shapes moves with the flock: its origin is that of the moment, mostly the leader's
+wing, and x is forward, y left and z up, in m.
 """
 
 from __future__ import annotations
@@ -10,21 +10,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Self
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.colors import Colormap, Normalize
 
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
-from flock_sim.core.messages import State
-from flock_sim.core.scaling import Scales
 from flock_tools import wake
 from flock_tools.bird_shape import BIRD, SHADE
 from flock_tools.birds_eye import DRAG_SAVED, saved_scale
+from flock_tools.view_moment import Moment
 
 UPWASH = mpl.colormaps["RdGy_r"]
 """Air that goes down is grey, air that goes up, which saves drag, is red; neither is any bird."""
@@ -60,80 +56,6 @@ class Shape:
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     colours: FloatArray = field(default_factory=lambda: np.array([INK]))
     text: str = ""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One member of a flock at one step; arrays of shape (birds,), dimensionless."""
-
-    configuration: FlockConfiguration
-    member: int
-    members: int
-    time: float
-    stamp: tuple[int, int]
-    """Simulated time, in s and ns."""
-    position: FloatArray
-    circulation: FloatArray
-    interaction_drag: FloatArray
-    span_ratio: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        configuration: FlockConfiguration,
-        states: Sequence[State],
-        span_ratio: FloatArray,
-        m: int,
-    ) -> Self:
-        """Return the flock with index `m` as its `states` tell, one a bird and all of one step.
-
-        `span_ratio` has shape (birds, members).
-        """
-        return cls(
-            configuration=configuration,
-            member=m,
-            members=len(states[0].position),
-            time=states[0].time,
-            stamp=(states[0].seconds, states[0].nanoseconds),
-            position=np.array([state.position[m] for state in states]),
-            circulation=np.array([state.circulation[m] for state in states]),
-            interaction_drag=np.array([state.interaction_drag[m] for state in states]),
-            span_ratio=span_ratio[:, m],
-        )
-
-    @property
-    def known(self) -> npt.NDArray[np.bool_]:
-        """Which birds are anywhere."""
-        return np.isfinite(self.position) & np.isfinite(self.circulation)
-
-    @property
-    def origin(self) -> float:
-        """Where the frame is, in b along the flight; 0 if no bird is anywhere."""
-        leader = formation.leader(len(self.position)) - 1
-        known = self.known
-        if not known.any():
-            return 0.0
-        return float(self.position[leader] if known[leader] else np.median(self.position[known]))
-
-    @property
-    def along(self) -> FloatArray:
-        """Where the birds are in the frame, in b."""
-        return self.position - self.origin
-
-    @property
-    def lateral(self) -> FloatArray:
-        """How far the birds are to the right of the leader, in b."""
-        return formation.lateral_positions(self.span_ratio[:, np.newaxis])[:, 0]
-
-    @property
-    def saved(self) -> FloatArray:
-        """Drag reduction eta, in %."""
-        return 100.0 * (0.0 - self.interaction_drag) / Scales.of(self.configuration).cruise_drag
-
-    @property
-    def metre(self) -> float:
-        """b, in m."""
-        return 0.5 * self.configuration.wing_span
 
 
 @dataclass(frozen=True)

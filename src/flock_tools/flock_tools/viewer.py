@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -24,10 +24,13 @@ from flock_sim.core.kernel import FloatArray
 from flock_sim.core.messages import BILLION, State, Wing
 from flock_sim.nodes.endpoints import latched
 from flock_tools import view_messages
-from flock_tools.foxglove_server import FoxgloveServer
-from flock_tools.view_scene import Moment, Scene, scene
+from flock_tools.view_moment import Moment
+from flock_tools.view_scene import Scene, scene
 from flock_tools.watch_view import Sample
 from flock_tools.watcher import Watcher
+
+if TYPE_CHECKING:
+    from flock_tools.foxglove_server import FoxgloveServer
 
 MARKERS_TOPIC = f"{topics.NAMESPACE}/view/markers"
 UPWASH_TOPIC = f"{topics.NAMESPACE}/view/upwash"
