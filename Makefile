@@ -37,6 +37,8 @@ docs: setup  ## write docs/tools.md and docs/messages.md anew, and build the sit
 figures: setup  ## redraw all figures in docs/figures
 	@./flock figures
 	@./flock survey --samples 20000 --output docs/figures/survey.png
+	@./flock reference --output runs/figures --force
+	@./flock view --picture docs/figures/view.png runs/figures
 
 bench: setup  ## measure throughput
 	@if grep -q '^[^#]' requirements/bench.txt; then \

@@ -36,6 +36,7 @@ TOOLS = {
     "figures": "flock_tools.figures",
     "play": "flock_tools.play",
     "watch": "flock_tools.watch",
+    "view": "flock_tools.view",
     "repair": "flock_tools.repair",
     "equilibrium": "flock_tools.equilibrium",
     "limits": "flock_tools.limits",

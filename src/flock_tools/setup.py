@@ -12,7 +12,7 @@ setup(
     package_data={"flock_tools": ["page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_tools"]),
-        ("share/flock_tools", ["package.xml"]),
+        ("share/flock_tools", ["package.xml", "view/view.rviz", "view/foxglove.json"]),
     ],
     entry_points={
         "console_scripts": [
@@ -22,6 +22,7 @@ setup(
             "report=flock_tools.report:main",
             "play=flock_tools.play:main",
             "watch=flock_tools.watch:main",
+            "view=flock_tools.view:main",
             "repair=flock_tools.repair:main",
             "figures=flock_tools.figures:main",
             "equilibrium=flock_tools.equilibrium:main",

@@ -26,8 +26,7 @@ DRAG_SAVED = LinearSegmentedColormap.from_list(
     "drag saved", mpl.colormaps["viridis_r"](np.linspace(0.08, 1.0, 256))
 )
 
-# The right wing from above, flying upwards: (across, along) over the semi-span, nose to tail.
-_OUTLINE = np.array(
+OUTLINE = np.array(
     [
         (0.0, 0.15),
         (0.04, 0.11),
@@ -41,6 +40,7 @@ _OUTLINE = np.array(
         (0.0, -0.23),
     ]
 )
+"""The right wing from above, flying upwards: (across, along) over the semi-span, nose to tail."""
 
 _NARROWEST = 10.0
 """Least width that is shown, in b: a few birds are not drawn as giants."""
@@ -122,13 +122,7 @@ def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
         )
     )
     here = (scene.along >= scene.bottom) & (scene.along <= scene.top)
-    known = scene.saved[np.isfinite(scene.saved)]
-    # A scale of its own for each picture would make differences of nothing.
-    scale = Normalize(
-        min(0.0, 5.0 * np.floor(known.min(initial=0.0) / 5.0)),
-        max(20.0, 5.0 * np.ceil(known.max(initial=0.0) / 5.0)),
-    )
-    colours = ScalarMappable(scale, DRAG_SAVED)
+    colours = ScalarMappable(saved_scale(scene.saved), DRAG_SAVED)
     faces = np.where(
         np.isfinite(scene.saved)[:, np.newaxis], colours.to_rgba(scene.saved), (1.0, 1.0, 1.0, 1.0)
     )
@@ -151,9 +145,21 @@ def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
     bar.update_ticks()
 
 
+def saved_scale(saved: FloatArray) -> Normalize:
+    """Return what drag reductions, in %, are coloured by.
+
+    A scale of its own for each picture would make differences of nothing.
+    """
+    known = saved[np.isfinite(saved)]
+    return Normalize(
+        min(0.0, 5.0 * np.floor(known.min(initial=0.0) / 5.0)),
+        max(20.0, 5.0 * np.ceil(known.max(initial=0.0) / 5.0)),
+    )
+
+
 def _wings(across: FloatArray, along: FloatArray, span_ratio: FloatArray) -> list[FloatArray]:
     """Return the outline of each bird."""
-    whole = np.concatenate([_OUTLINE, _OUTLINE[::-1] * (-1.0, 1.0)])
+    whole = np.concatenate([OUTLINE, OUTLINE[::-1] * (-1.0, 1.0)])
     places = np.column_stack([across, along])
     return [place + ratio * whole for place, ratio in zip(places, span_ratio, strict=True)]
 

@@ -9,19 +9,22 @@ from pathlib import Path
 from flock_sim.errors import FlockError
 
 
-def check_output(output: Path) -> None:
-    """Refuse a file that can't be written, before anything is computed. Raises FlockError."""
+def check_output(output: Path, option: str = "--output") -> None:
+    """Refuse a file that can't be written, before anything is computed. Raises FlockError.
+
+    `option` is what it was named by.
+    """
     if output.is_dir():
-        raise FlockError(f"--output {output}: is a directory; name a file in it")
+        raise FlockError(f"{option} {output}: is a directory; name a file in it")
     if not output.parent.is_dir():
-        raise FlockError(f"--output {output}: can't be written: {output.parent} is no directory")
+        raise FlockError(f"{option} {output}: can't be written: {output.parent} is no directory")
     if not os.access(output if output.exists() else output.parent, os.W_OK):
-        raise FlockError(f"--output {output}: can't be written: Permission denied")
+        raise FlockError(f"{option} {output}: can't be written: Permission denied")
 
 
-def write_output(output: Path, content: bytes | memoryview) -> None:
+def write_output(output: Path, content: bytes | memoryview, option: str = "--output") -> None:
     """Write `content`. Raises FlockError where it can't be."""
     try:
         output.write_bytes(content)
     except OSError as error:
-        raise FlockError(f"--output {output}: can't be written: {error.strerror}") from error
+        raise FlockError(f"{option} {output}: can't be written: {error.strerror}") from error

@@ -103,7 +103,15 @@ class View:
         `known` are the birds whose topics were found: the flock, where no grant says how many it
         has. Raises FlockError where it has no such member.
         """
-        flown = self._flown()
+        row = self.row(known, member)
+        return self._sampled(row, member, self.flown) if row else None
+
+    def row(self, known: Collection[int], member: int) -> list[State]:
+        """Return the states of the last step that was heard of all birds; nothing without one.
+
+        Raises FlockError where they have no such member.
+        """
+        flown = self.flown
         birds = flown.birds if flown else max(known, default=0)
         whole = [step for step, row in self._rows.items() if birds and len(row) == birds]
         if whole:
@@ -114,13 +122,17 @@ class View:
                 if step == whole[-1]:
                     break
                 del self._rows[step]
-        return self._sampled(birds, member, flown) if len(self._shown) == birds > 0 else None
-
-    def _sampled(self, birds: int, member: int, flown: FlockConfiguration | None) -> Sample:
+        if not len(self._shown) == birds > 0:
+            return []
         row = [self._shown[bird] for bird in sorted(self._shown)]
         members = len(row[0].position)
         if member > members:
             raise FlockError(f"--member {member}: must be in 1..{members}, as the flock has them")
+        return row
+
+    def _sampled(self, row: list[State], member: int, flown: FlockConfiguration | None) -> Sample:
+        birds = len(row)
+        members = len(row[0].position)
         m = member - 1
         leader = formation.leader(birds)
         drag = [float(state.interaction_drag[m]) for state in row]
@@ -150,7 +162,8 @@ class View:
             else None,
         )
 
-    def _flown(self) -> FlockConfiguration | None:
+    @property
+    def flown(self) -> FlockConfiguration | None:
         """What is flown, where the grant is of the run that is heard; recorded states name none."""
         ours = self._grant is not None and self._run in (0, self._grant.run_id)
         return self._configuration if ours else None

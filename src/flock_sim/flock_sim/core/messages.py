@@ -39,17 +39,13 @@ class Message:
         """Return the message as CDR, encapsulation header included."""
         data = bytearray(ENCAPSULATION)
         for kind, value in zip(self.KINDS, self._values(), strict=True):
-            if kind == "text":
-                text = value.encode() + b"\0"
-                _put(data, "I", len(text))
-                data += text
-            elif kind == "numbers":
-                _put(data, "I", len(value))
+            if kind == "numbers":
+                put(data, "I", len(value))
                 if len(value):
-                    _align(data, 8)
+                    align(data, 8)
                     data += np.ascontiguousarray(value, dtype="<f8").tobytes()
             else:
-                _put(data, kind, value)
+                put(data, kind, value)
         return bytes(data)
 
     @classmethod
@@ -85,12 +81,19 @@ class Message:
         return tuple(getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
 
 
-def _align(data: bytearray, size: int) -> None:
+def align(data: bytearray, size: int) -> None:
+    """Fill up `data`, CDR with its encapsulation header, to where something of `size` may begin."""
     data += bytes((4 - len(data)) % size)
 
 
-def _put(data: bytearray, kind: str, value: object) -> None:
-    _align(data, struct.calcsize(kind))
+def put(data: bytearray, kind: str, value: object) -> None:
+    """Append `value` as CDR; `kind` is that of `struct`, or "text"."""
+    if kind == "text":
+        text = str(value).encode() + b"\0"
+        put(data, "I", len(text))
+        data += text
+        return
+    align(data, struct.calcsize(kind))
     data += struct.pack("<" + kind, value)
 
 

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that listens to whatever flock is flown or played, and disturbs nobody."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor
+from rclpy.node import Node
+
+from flock_interfaces.msg import BirdState, Grant
+from flock_sim.core import topics
+from flock_sim.discovery import DOMAIN
+from flock_sim.errors import RunFailed
+from flock_sim.nodes.endpoints import latched
+from flock_sim.nodes.process import executing, ros_context
+from flock_sim.shared_memory import remove_orphans
+from flock_sim.stop import Stop
+from flock_tools.watch_view import Sample, View
+
+REFRESH = 0.25
+"""Time, in s, between two pictures, and between two looks for topics."""
+
+SETTLED = 1.0
+"""Time, in s, without a new bird after which all are taken to be found, where no clock tells."""
+
+DEPTH = 64
+"""States of a bird that wait to be read; a flock that is faster than we read is sampled."""
+
+STATE_TOPIC = re.compile(re.escape(topics.NAMESPACE) + r"/bird_(\d+)/state")
+
+
+Listener = TypeVar("Listener", bound="Watcher")
+
+
+class Watcher(Node):
+    """Listens to the states of whatever birds there are, and to the grants of their clock."""
+
+    def __init__(self, context: Context, name: str = "watch") -> None:
+        """Find nothing yet; `name` is what the node is called, with the number of the process."""
+        super().__init__(
+            f"{name}_{os.getpid()}",
+            namespace=topics.NAMESPACE,
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.view = View()
+        self.birds: set[int] = set()
+        self._found_at = 0.0
+        self.create_subscription(
+            Grant, topics.GRANT_TOPIC, self.view.hear_grant, latched(1), raw=True
+        )
+        self.create_timer(REFRESH, self.look_around)
+
+    def look_around(self) -> None:
+        """Listen to birds that were not there before."""
+        for name, _ in self.get_topic_names_and_types():
+            match = STATE_TOPIC.fullmatch(name)
+            if match and int(match[1]) not in self.birds:
+                self.listen(int(match[1]), name)
+
+    def knows(self, sample: Sample) -> bool:
+        """Whether nothing more is to be learned: a grant, or that there is none nor more birds."""
+        if sample.coupling is not None:
+            return True
+        settled = time.monotonic() - self._found_at > SETTLED
+        return settled and self.count_publishers(topics.GRANT_TOPIC) == 0
+
+    def listen(self, bird: int, topic: str) -> None:
+        """Listen to the states of `bird` from now on."""
+
+        def hear(data: bytes) -> None:
+            self.view.hear_state(bird, data)
+
+        self.birds.add(bird)
+        self._found_at = time.monotonic()
+        self.create_subscription(BirdState, topic, hear, latched(DEPTH), raw=True)
+
+
+@contextmanager
+def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Executor]]:
+    """Give the node that `make` makes, and its executor; at the end both are gone."""
+    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    alone = True
+    try:
+        with executing("single", context) as executor:
+            watcher = make(context)
+            executor.add_node(watcher)
+            try:
+                yield watcher, executor
+            finally:
+                alone = not watcher.birds
+    finally:
+        rclpy.try_shutdown(context=context)
+        if alone:  # else a bird may have our port mapped, and whoever gets it next be deaf to it
+            remove_orphans()
+
+
+def first_sample(
+    watcher: Watcher, executor: Executor, member: int, timeout: float, stop: Stop
+) -> Sample | None:
+    """Return the first sample of `member`; None on `stop`.
+
+    Raises RunFailed where none comes within `timeout` s.
+    """
+    deadline = time.monotonic() + timeout
+    while not stop:
+        sample = watcher.view.sample(watcher.birds, 1)
+        if sample is not None and watcher.knows(sample):
+            return watcher.view.sample(watcher.birds, member)
+        if time.monotonic() > deadline:
+            if sample is not None:
+                return watcher.view.sample(watcher.birds, member)
+            heard = f"only birds {sorted(watcher.birds)}" if watcher.birds else "no flock"
+            raise RunFailed(
+                f"{heard} heard within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
+                f" fly or play one there, set {DOMAIN} to its domain, or give a longer --timeout"
+            )
+        executor.spin_once(timeout_sec=0.1)
+    return None

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `view` publishes of a flock, to ROS 2 and to Foxglove, is what its bag says."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from geometry_msgs.msg import TransformStamped
+from rclpy.serialization import deserialize_message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import Image
+from visualization_msgs.msg import MarkerArray
+from websockets.sync.client import ClientConnection, connect
+
+from flock_sim.core.messages import FRAME
+from flock_sim.errors import FlockError
+from flock_sim.run import Run
+from flock_tools.foxglove_server import FoxgloveServer
+from flock_tools.view_picture import scene_of
+from flock_tools.viewer import FOXGLOVE_TYPES
+from terminal import Job, Terminal
+from visitor import Visitor
+
+FLOCK = ("--birds", 3, "--t-max", 300, "--span-ratio", "1=0.95,1.0")
+SUBPROTOCOL = "foxglove.sdk.v1"
+DEADLINE = 60.0
+SHARE = Path(__file__).parents[2] / "src/flock_tools/view"
+
+
+def recorded(terminal: Terminal, bag: str, seconds: int, nanoseconds: int, member: int):
+    """Return the scene of the bag at a stamp."""
+    with Run(terminal.directory / bag) as run:
+        time = (seconds + 1e-9 * nanoseconds) / run.configuration.second
+        every = run.configuration.record_every * run.configuration.dt
+        return scene_of(run, every * round(time / every), member - 1)
+
+
+def check_markers(terminal: Terminal, bag: str, array, member: int) -> None:
+    """Hold birds and labels against the bag, at the stamp that they have."""
+    stamp = array.markers[0].header.stamp
+    expected = recorded(terminal, bag, stamp.sec, stamp.nanosec, member)
+    heard = {(marker.ns, marker.id): marker for marker in array.markers}
+    for shape in expected.shapes:
+        if shape.group not in ("birds", "labels"):
+            continue
+        marker = heard[shape.group, shape.number]
+        place = marker.pose.position
+        assert (place.x, place.y, place.z) == pytest.approx(shape.origin, abs=1e-9)
+        assert marker.text == shape.text
+        points = np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3)
+        assert points == pytest.approx(shape.points, abs=1e-9)
+
+
+def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor: Visitor) -> None:
+    terminal.well("reference", *FLOCK, "--output", "bag")
+    player = terminal.start("play", "bag", "--rate", 2, "--loop")
+    job = terminal.start("view", "--member", 2, "--rate", 30, "--timeout", 60)
+    heard: dict[str, list] = {}
+    for kind, name in (
+        (MarkerArray, "markers"),
+        (Image, "upwash"),
+        (TransformStamped, "transform"),
+    ):
+        heard[name] = []
+        visitor.node.create_subscription(kind, f"/flock/view/{name}", heard[name].append, 10)
+    visitor.until(lambda: all(heard.values()))
+    check_markers(terminal, "bag", heard["markers"][-1], 2)
+    image, told = heard["upwash"][-1], heard["transform"][-1]
+    stamp = image.header.stamp
+    expected = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2)
+    pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
+    assert pixels == pytest.approx(expected.upwash, rel=1e-4, abs=1e-6)
+    stamp = told.header.stamp
+    moment = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2).moment
+    assert told.transform.translation.x == pytest.approx(moment.origin * moment.metre)
+    assert "no clock tells what is flown" in job.stderr
+    assert "3 birds, member 2 of 2" in job.stderr
+    too_many = terminal.run("view", "--member", 3, "--timeout", 60)
+    assert (too_many.status, too_many.error) == (
+        2,
+        "error: --member 3: must be in 1..2, as the flock has them",
+    )
+    for each in (job, player):
+        each.interrupt()
+        assert each.wait().status == 130
+
+
+class Client:
+    """A Foxglove client of few words, by the protocol's text."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self.connection = connection
+        self.info = self.told("serverInfo")
+        self.channels = {
+            channel["topic"]: channel for channel in self.told("advertise")["channels"]
+        }
+
+    def told(self, what: str) -> dict:
+        """Return the next text message of this kind; times and others are left aside."""
+        for data in self._messages():
+            if isinstance(data, str) and json.loads(data)["op"] == what:
+                return json.loads(data)
+        raise AssertionError(f"no {what} within {DEADLINE:g} s")
+
+    def _messages(self) -> Iterator[str | bytes]:
+        end = time.monotonic() + DEADLINE
+        while (left := end - time.monotonic()) > 0.0:
+            data = self.connection.recv(timeout=left)
+            yield data if isinstance(data, str) else bytes(data)
+
+    def hear(self, topics: list[str]) -> dict[str, tuple[int, bytes]]:
+        """Subscribe, and return the first message of each topic, with its time in ns."""
+        topic_of = dict(enumerate(topics, start=1))
+        wanted = [{"id": k, "channelId": self.channels[t]["id"]} for k, t in topic_of.items()]
+        self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        found: dict[str, tuple[int, bytes]] = {}
+        for data in self._messages():
+            if isinstance(data, bytes) and data[0] == 1:
+                subscription, stamp = struct.unpack_from("<IQ", data, 1)
+                found.setdefault(topic_of[subscription], (stamp, data[13:]))
+            if len(found) == len(topics):
+                return found
+        raise AssertionError(f"only {list(found)} within {DEADLINE:g} s")
+
+
+def served(job: Job) -> str:
+    """Return the address that a viewer says it serves at."""
+    return job.until(lambda: re.search(r"ws://[\d.]+:\d+", job.stderr))[0]
+
+
+def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
+    flight = terminal.start("fly", "--birds", 3, "--t-max", 1e6, "--output", "flown")
+    job = terminal.start("view", "--foxglove", 0, "--timeout", 60)
+    address = served(job)
+    assert address.startswith("ws://127.0.0.1:")
+    with connect(address, subprotocols=[SUBPROTOCOL]) as connection:  # type: ignore[list-item]
+        assert connection.subprotocol == SUBPROTOCOL
+        client = Client(connection)
+        assert (client.info["op"], client.info["name"]) == ("serverInfo", "flock view")
+        assert client.channels.keys() == FOXGLOVE_TYPES.keys()
+        for topic, channel in client.channels.items():
+            assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+            assert channel["schemaName"] == FOXGLOVE_TYPES[topic]
+        heard = client.hear(list(client.channels))
+    flight.interrupt()
+    assert flight.wait().status == 130
+    job.interrupt()
+    assert job.wait().status == 130
+
+    array = deserialize_message(heard["/flock/view/markers"][1], MarkerArray)
+    check_markers(terminal, "flown", array, 1)
+    stamp = array.markers[0].header.stamp
+    assert heard["/flock/view/markers"][0] == stamp.sec * 1_000_000_000 + stamp.nanosec
+    # What a client makes of the bytes, by the definitions that it is given and nothing else.
+    for topic, (at, data) in heard.items():
+        kind, text = client.channels[topic]["schemaName"], client.channels[topic]["schema"]
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text, kind))
+        message = store.deserialize_cdr(data, kind)
+        if topic == "/tf":
+            (told,) = message.transforms
+            assert (told.header.frame_id, told.child_frame_id) == ("world", FRAME)
+            seconds, nanoseconds = divmod(at, 1_000_000_000)
+            moment = recorded(terminal, "flown", seconds, nanoseconds, 1).moment
+            assert told.transform.translation.x == pytest.approx(moment.origin * moment.metre)
+        elif topic == "/flock/view/upwash":
+            assert message.encoding == "32FC1"
+            assert len(message.data) == message.height * message.step
+
+
+def test_a_port_that_is_taken_is_said_at_once() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(FlockError, match="Address already in use; choose another") as raised:
+            FoxgloveServer("127.0.0.1", port, FOXGLOVE_TYPES)
+    assert str(raised.value).startswith(f"--foxglove {port}: can't be served on 127.0.0.1: ")
+    assert raised.value.exit_status == 2
+
+
+def test_a_silent_domain_is_named(terminal: Terminal) -> None:
+    done = terminal.run("view", "--timeout", 0.1)
+    assert done.status == 2
+    domain = terminal.environment["ROS_DOMAIN_ID"]
+    assert f"no flock heard within 0.1 s on ROS domain {domain}" in done.error
+
+
+def test_layouts_are_of_the_topics_that_are_published() -> None:
+    rviz = yaml.safe_load((SHARE / "view.rviz").read_text(encoding="utf-8"))[
+        "Visualization Manager"
+    ]
+    shown = {display["Class"]: display["Topic"]["Value"] for display in rviz["Displays"]}
+    assert shown == {
+        "rviz_default_plugins/MarkerArray": "/flock/view/markers",
+        "rviz_default_plugins/Image": "/flock/view/upwash",
+    }
+    assert rviz["Global Options"]["Fixed Frame"] == FRAME
+    layout = json.loads((SHARE / "foxglove.json").read_text(encoding="utf-8"))
+    panels = layout["configById"]
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == panels.keys()
+    assert panels["3D!flock"]["topics"].keys() == {"/flock/view/markers"}
+    assert panels["3D!flock"]["followTf"] == FRAME
+    assert panels["Image!upwash"]["imageMode"]["imageTopic"] == "/flock/view/upwash"

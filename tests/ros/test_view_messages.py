@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes that are written are messages as others read them, with nothing lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TransformStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import Image
+from visualization_msgs.msg import Marker, MarkerArray
+
+from flock_tools import view_messages
+from flock_tools.view_scene import Kind, scene
+from unit.test_view_scene import moment
+
+SHOWN = scene(moment(), [moment().along - 1.0])
+
+
+def test_markers_are_those_of_visualization_msgs() -> None:
+    data = view_messages.markers(SHOWN, anew=False)
+    array = deserialize_message(data, MarkerArray)
+    assert len(array.markers) == len(SHOWN.shapes)
+    for marker, shape in zip(array.markers, SHOWN.shapes, strict=True):
+        assert (marker.ns, marker.id, marker.type) == (shape.group, shape.number, shape.kind)
+        assert (marker.action, marker.header.frame_id) == (Marker.ADD, "flock")
+        assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == (1, 2)
+        place, turn = marker.pose.position, marker.pose.orientation
+        assert (place.x, place.y, place.z) == shape.origin
+        assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
+        assert (marker.scale.x, marker.scale.y, marker.scale.z) == pytest.approx(shape.scale)
+        assert marker.text == shape.text
+        points = np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3)
+        assert (points == shape.points).all()
+        colours = np.array([(c.r, c.g, c.b, c.a) for c in marker.colors]).reshape(-1, 4)
+        assert colours == pytest.approx(shape.colours[: len(points)], rel=1e-6)
+    # And written again by others, they are the same bytes, but for what fills the gaps.
+    assert len(serialize_message(array)) == len(data)
+
+
+def test_the_kinds_of_shapes_are_those_of_markers() -> None:
+    assert Kind.LINE == Marker.LINE_STRIP
+    assert Kind.CUBES == Marker.CUBE_LIST
+    assert Kind.TEXT == Marker.TEXT_VIEW_FACING
+    assert Kind.TRIANGLES == Marker.TRIANGLE_LIST
+
+
+def test_what_was_shown_before_is_removed_first() -> None:
+    array = deserialize_message(view_messages.markers(SHOWN, anew=True), MarkerArray)
+    assert [marker.action for marker in array.markers[:2]] == [Marker.DELETEALL, Marker.ADD]
+    assert len(array.markers) == len(SHOWN.shapes) + 1
+
+
+def test_the_image_is_one_of_sensor_msgs() -> None:
+    image = deserialize_message(view_messages.image(SHOWN), Image)
+    assert (image.height, image.width) == SHOWN.upwash.shape
+    assert (image.encoding, image.step, image.is_bigendian) == ("32FC1", 4 * image.width, 0)
+    pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
+    assert (pixels == SHOWN.upwash).all()
+
+
+def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:
+    told = deserialize_message(view_messages.transform(SHOWN.moment), TransformStamped)
+    assert (told.header.frame_id, told.child_frame_id) == ("world", "flock")
+    shift = told.transform.translation
+    assert (shift.x, shift.y, shift.z) == (800.0, 0.0, 0.0)  # b = 0.8 m
+    assert told.transform.rotation.w == 1.0
+    # There is no wheel of tf2_msgs; others know the type.
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(
+        view_messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage"
+    )
+    (same,) = message.transforms
+    assert (same.header.frame_id, same.child_frame_id) == ("world", "flock")
+    assert (same.header.stamp.sec, same.header.stamp.nanosec) == (1, 2)
+    assert same.transform.translation.x == 800.0
+    assert same.transform.rotation.w == 1.0
