@@ -41,6 +41,36 @@ class EveryOther:
         return "it waits for a message"
 
 
+class Link:
+    """A bird of a chain: it goes on once its neighbours have come as far as it has."""
+
+    def __init__(self, chain: list[Link], end: int) -> None:
+        self.chain, self.at, self.end = chain, len(chain), end
+        self.stage = self.runs = 0
+        chain.append(self)
+
+    def drain(self) -> bool:
+        near = self.chain[max(0, self.at - 1) : self.at + 2]
+        moves = self.stage < min(self.end, 1 + min(link.stage for link in near))
+        self.stage += moves
+        return moves
+
+    def drain_rare(self) -> bool:
+        self.runs += 1
+        return False
+
+    def report(self) -> None:
+        raise AssertionError("nobody has to wait")
+
+    @property
+    def finished(self) -> bool:
+        return self.stage == self.end
+
+    @property
+    def waiting_for(self) -> str:
+        return f"stage {self.stage} of a neighbour"
+
+
 class Executor:
     """Counts how often it was asked to wait."""
 
@@ -58,6 +88,19 @@ def test_the_executor_does_not_wait_while_messages_come(monkeypatch: pytest.Monk
     keep_flying([bird], executor, 0, Patience(1e9, print))
     assert bird.finished
     assert executor.waits == 0
+
+
+@pytest.mark.parametrize("birds", [drain.TOGETHER + 1, 2 * drain.TOGETHER + 45])
+def test_of_many_birds_each_gets_far_at_a_turn(birds: int) -> None:
+    chain: list[Link] = []
+    for _ in range(birds):
+        Link(chain, end=400)
+    executor = Executor()
+    keep_flying(chain, executor, 0, Patience(1e9, print))
+    assert all(link.finished for link in chain)
+    assert executor.waits == 0
+    rounds = chain[0].runs
+    assert 400 / rounds >= 8  # stages in a round over all groups
 
 
 def test_a_bird_that_hears_nothing_gives_up_and_says_what_it_waits_for(

@@ -68,6 +68,8 @@ EARLY = 16
 class Channel(Enum):
     """Where a message of a bird goes."""
 
+    __hash__ = object.__hash__  # as good as Enum's, and not written in Python: one a message
+
     WING = "wing"
     STAGE = "stage"
     STATE = "state"
@@ -168,9 +170,9 @@ class BirdProtocol(Listener):
         return self.released or (self._held and self.step >= self._end)
 
     @property
-    def missing(self) -> list[int]:
+    def missing(self) -> tuple[int, ...]:
         """The neighbours whose message for this stage is not here yet; none while it is held."""
-        return [other for other, _ in self._inbox.lacking.values()]
+        return tuple(self._inbox.lacking.values())
 
     @property
     def waiting_for(self) -> str:
@@ -383,37 +385,40 @@ class BirdProtocol(Listener):
     def _advance(self) -> list[Outgoing]:
         """Go on, stage by stage, as far as messages and leave allow."""
         out: list[Outgoing] = []
-        inbox, receiver, steering = self._inbox, self._receiver, self._steering
+        inbox = self._inbox
         while not inbox.lacking:
-            step, stage = divmod(self._tick, STAGES)
+            tick = self._tick
+            stage = tick % STAGES
             if not self._held:
                 heard = inbox.heard
-                if receiver is not None:
-                    heard = receiver.listen(
-                        self._tick, self._around.geometry, heard[inbox.side], self._mine
-                    )
-                if steering is not None:
-                    steering.steer(self._tick, heard, self._mine)
+                if self._receiver is not None or self._steering is not None:
+                    heard = self._listen(heard)
                 self._feel_and_move(
-                    self._tick,
-                    self._dt,
-                    self._own,
-                    self._around.geometry,
-                    heard,
-                    self._mine,
-                    self._work,
+                    tick, self._dt, self._own, self._around.geometry, heard, self._mine, self._work
                 )
-                if stage == 0:
-                    out += self._reports(step, self._mine[self._tick & 1])
-            self._held = stage == 0 and step >= self._granted
-            if self._held:
-                break
-            self._tick += 1
-            if stage + 1 == STAGES and self._pushes and self._push(step + 1):
+            if stage == 0:
+                step = tick // STAGES
+                if not self._held:
+                    out += self._reports(step, self._mine[tick & 1])
+                self._held = step >= self._granted
+                if self._held:
+                    break
+            self._tick = tick = tick + 1
+            if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
                 begin(self._own, self._mine, self._work)
-            if inbox.turn(self._tick):
+            if inbox.turn(tick):
                 out.append(self._stage())
         return out
+
+    def _listen(self, heard: FloatArray) -> FloatArray:
+        """Return what is known of the neighbours at this tick, after steering by it."""
+        if self._receiver is not None:
+            heard = self._receiver.listen(
+                self._tick, self._around.geometry, heard[self._inbox.side], self._mine
+            )
+        if self._steering is not None:
+            self._steering.steer(self._tick, heard, self._mine)
+        return heard
 
     def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
         """Return what the recorder and the clock are to know of the beginning of `step`."""

@@ -63,18 +63,15 @@ class StageInbox:
         self.heard: FloatArray = np.zeros((2, len(neighbours), stage_words(members)))
         self.size = len(stage_bytes(np.zeros(stage_words(members)), members))
         # The headers of the messages that this stage still lacks, and the next one, each with the
-        # neighbour and the room for it.
-        self.lacking: dict[bytes, tuple[int, memoryview]] = {}
-        self._next: dict[bytes, tuple[int, memoryview]] = {}
+        # neighbour that it is of.
+        self.lacking: dict[bytes, int] = {}
+        self._next: dict[bytes, int] = {}
         self._early: dict[int, dict[bytes, bytes]] = {other: {} for other in neighbours}
-        self._slots = [
-            [
-                (other, stage_bytes(self.heard[side, k], members))
-                for k, other in enumerate(neighbours)
-            ]
+        self._room = [
+            {other: stage_bytes(self.heard[side, k], members) for k, other in enumerate(neighbours)}
             for side in range(2)
         ]
-        self._neighbours = frozenset(neighbours)
+        self._neighbours = tuple(neighbours)
         self._members = members
         self._run_id = run_id
         self._epoch = NEVER
@@ -98,8 +95,8 @@ class StageInbox:
         self._at_start = tick == 0
         self.side = tick & 1
         due = self._timetable.due(tick)
-        self.lacking = self._expected(tick, self.side) if due else {}
-        self._next = self._expected(self._timetable.after(tick), 1 - self.side)
+        self.lacking = self._expected(tick) if due else {}
+        self._next = self._expected(self._timetable.after(tick))
         for early in self._early.values():
             for header in (self.lacking | self._next).keys() & early.keys():
                 self.take(early[header])
@@ -119,7 +116,7 @@ class StageInbox:
             following = self._timetable.after(tick)
         self._tick = tick
         self.lacking = self._next
-        self._next = self._expected(following, self.side)
+        self._next = self._expected(following)
         self.side = 1 - self.side
         return True
 
@@ -127,13 +124,14 @@ class StageInbox:
         """Take a message as it came off the wire; return why it is ignored, or nothing."""
         if len(data) == self.size:
             header = data[HEADER_AT:HEADER_END]
-            if self._at_start and header in self.lacking and not self._finite(data):
-                return IMPOSSIBLE
-            if slot := self.lacking.pop(header, None):
-                slot[1][:] = data
+            if bird := self.lacking.get(header):
+                if self._at_start and not self._finite(data):
+                    return IMPOSSIBLE
+                del self.lacking[header]
+                self._room[self.side][bird][:] = data
                 return ""
-            if slot := self._next.pop(header, None):
-                slot[1][:] = data
+            if bird := self._next.pop(header, 0):
+                self._room[1 - self.side][bird][:] = data
                 return ""
         return self._refused(data)
 
@@ -181,13 +179,14 @@ class StageInbox:
                 if self._run_of(data) == self._run_id and self._epoch_of(data) > epoch
             }
 
-    def _expected(self, tick: int, side: int) -> dict[bytes, tuple[int, memoryview]]:
-        """Return the headers of all neighbours' messages of `tick`, and the room for them."""
+    def _expected(self, tick: int) -> dict[bytes, int]:
+        """Return the headers of all neighbours' messages of `tick`, each with its neighbour."""
         step, stage = divmod(tick, STAGES)
         run_id, epoch, members, pack = self._run_id, self._epoch, self._members, HEADER.pack
-        return {
-            pack(run_id, step, epoch, slot[0], stage, members): slot for slot in self._slots[side]
-        }
+        headers = {}  # in a loop, which is faster for a few than a comprehension
+        for bird in self._neighbours:
+            headers[pack(run_id, step, epoch, bird, stage, members)] = bird
+        return headers
 
     def _finite(self, data: bytes) -> bool:
         return bool(np.isfinite(np.frombuffer(data, offset=HEADER_END)).all())

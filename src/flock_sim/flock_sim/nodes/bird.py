@@ -96,9 +96,9 @@ class BirdNode(DrainedNode):
         else:
             self.reports, self.told = first.reports, first.told
         self._publish: dict[Channel, Callable[[bytes], None]] = {
-            channel: outlet.publish for channel, outlet in self._outlets.items()
+            channel: outlet.handle.publish_raw for channel, outlet in self._outlets.items()
         }
-        self._publish[Channel.PROGRESS] = self.reports.publish
+        self._publish[Channel.PROGRESS] = self.reports.handle.publish_raw
         self._wings = {
             other: self.subscribe_drained(BirdWing, topics.wing_topic(other))
             for other in self.protocol.neighbours
@@ -107,6 +107,7 @@ class BirdNode(DrainedNode):
             other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
+        self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
         self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, self.told)
 
     def drain(self) -> bool:
@@ -115,14 +116,18 @@ class BirdNode(DrainedNode):
         Where it waits for none, whatever is there: a queue that is full of another flight's would
         turn away our neighbours'.
         """
-        missing = tuple(self.protocol.missing)
+        protocol = self.protocol
+        missing = protocol.missing
         if not missing:
             return self._take_all_stages()
         moved = False
         for other in missing:
-            take = self._stages[other].take
-            while (data := take()) is not None:
-                if self._take_stage(data):
+            take = self._take_raw[other]
+            while (taken := take()) is not None:
+                ignored = protocol.ignored
+                if outgoing := protocol.receive_stage(taken[0]):
+                    self._send(outgoing)
+                if protocol.ignored == ignored:
                     moved = True
                     break
         return moved

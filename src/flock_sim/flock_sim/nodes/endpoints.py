@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from rclpy.duration import Duration
@@ -94,8 +95,10 @@ class Inlet:
     def __init__(self, subscription: Subscription) -> None:
         """Take from `subscription`."""
         self._subscription = subscription
-        self._take = subscription.handle.take_message
-        self._type = subscription.msg_type
+        self.take_raw: Callable[[], tuple[bytes, dict[str, int]] | None] = partial(
+            subscription.handle.take_message, subscription.msg_type, True
+        )
+        """Return the next message as CDR, with what is told of it, or None; never waits."""
 
     @property
     def connected(self) -> bool:
@@ -104,7 +107,7 @@ class Inlet:
 
     def take(self) -> bytes | None:
         """Return the next message as CDR, or None; never waits."""
-        taken = self._take(self._type, True)
+        taken = self.take_raw()
         return None if taken is None else taken[0]
 
     def take_with_age(self) -> tuple[bytes, float] | None:
@@ -112,7 +115,7 @@ class Inlet:
 
         The age is by the system's time, here and where the message was sent.
         """
-        taken = self._take(self._type, True)
+        taken = self.take_raw()
         if taken is None:
             return None
         data, told = taken
