@@ -38,7 +38,7 @@ def inbox(tick: int | None = None) -> StageInbox:
 
 
 def lacking(box: StageInbox) -> list[int]:
-    return [bird for bird, _ in box.lacking.values()]
+    return list(box.lacking.values())
 
 
 @pytest.mark.parametrize("speed", [np.nan, np.inf, -np.inf])

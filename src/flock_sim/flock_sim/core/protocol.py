@@ -170,9 +170,9 @@ class BirdProtocol(Listener):
         return self.released or (self._held and self.step >= self._end)
 
     @property
-    def missing(self) -> tuple[int, ...]:
+    def missing(self) -> list[int]:
         """The neighbours whose message for this stage is not here yet; none while it is held."""
-        return tuple(self._inbox.lacking.values())
+        return list(self._inbox.lacking.values())
 
     @property
     def waiting_for(self) -> str:

@@ -102,6 +102,8 @@ class Timekeeper:
         self.step = ABSENT
         """The step that every bird has reached; below 0 before they have heard each other."""
         self._reached = dict.fromkeys(self._lives, ABSENT)
+        # How many birds have reached each step: few steps, however many birds.
+        self._birds_at = Counter(self._reached[name] for name in self._birds)
         self._heard: set[str] = set()  # since anybody has moved
         self._granted = 0
         self._told = -1  # the last step whose time was told, or that is on disk
@@ -138,7 +140,7 @@ class Timekeeper:
     @property
     def begun(self) -> bool:
         """Whether all are there, and every bird has heard its neighbours."""
-        return self.step >= 0 and ABSENT not in self._reached.values()
+        return self.step >= 0 and self._reached.get(RECORDER) != ABSENT
 
     @property
     def paused(self) -> bool:
@@ -202,16 +204,16 @@ class Timekeeper:
         if progress.step <= self._reached[progress.who]:
             return []
         first = self._reached[progress.who] == ABSENT
-        self._reached[progress.who] = progress.step
+        self._reach(progress.who, progress.step)
         self.moves += 1
         self._heard.clear()
         if progress.who == RECORDER and first:
             self._told = self._checkpoint = progress.step
             self._granted = max(0, progress.step)
-        self.step = min(step for _, step in self._birds_reached())
+        self.step = min(self._birds_at)
         if not self.begun:
             return []
-        if max(step for _, step in self._birds_reached()) > self._granted:
+        if max(self._birds_at) > self._granted:
             return self.rewind()  # by the leave of another clock, in an epoch of the same number
         self._count_steps_lost()
         return [*self._times(), *(self.stop() if self._stopping else self._grants())]
@@ -296,6 +298,15 @@ class Timekeeper:
         if self._reached_before:
             self.rewinds.steps += max(0, self._reached_before - self.step)
             self._reached_before = 0
+
+    def _reach(self, who: str, step: int) -> None:
+        before = self._reached[who]
+        self._reached[who] = step
+        if who != RECORDER:
+            self._birds_at[step] += 1
+            self._birds_at[before] -= 1
+            if not self._birds_at[before]:
+                del self._birds_at[before]
 
     def _ignore(self, reason: str) -> list[Message]:
         self.ignored_for[reason] += 1
