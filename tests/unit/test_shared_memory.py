@@ -107,32 +107,6 @@ def test_what_only_our_own_flight_can_have_is_removed_all_the_same(
     assert list(memory.iterdir()) == []
 
 
-def test_ports_of_another_domain_are_left_to_those_who_are_on_it(
-    memory: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # A bird that was killed there may be starting again, on the same port.
-    files = segment(memory, "port8413", mutex=True)
-    for domain, left in (("3", files), ("4", set())):
-        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-        remove_orphans(memory)
-        assert {path.name for path in memory.iterdir()} == left
-
-
-def test_a_port_that_somebody_takes_while_we_look_for_its_users_stays(
-    memory: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    port = memory / "fastrtps_port7413"
-    port.touch()
-
-    def look() -> set[str]:
-        (memory / "fastrtps_port7413_el").touch()
-        return set()
-
-    monkeypatch.setattr(shared_memory, "_mapped_by_others", look)
-    remove_orphans(memory)
-    assert port.exists()
-
-
 def test_one_without_a_lock_that_is_in_use_stays_as_long_as_it_may_be_in_the_making(
     memory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,6 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from enum import Enum
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -33,33 +32,22 @@ What nobody uses is not: who writes to somebody dead makes a port without a lock
 
 
 def remove_orphans(directory: Path = SHARED_MEMORY) -> None:
-    """Remove the Fast DDS segments and ports in `directory` that no process holds.
-
-    Ports of other ROS domains than the environment's are left alone.
-    """
+    """Remove the Fast DDS segments and ports in `directory` that no process holds."""
     if not directory.is_dir():
         return
     for name in {match[0] for path in directory.iterdir() if (match := SEGMENT.match(path.name))}:
-        whose = _whose(name)
-        if whose is Whose.ANOTHER_DOMAINS:
-            continue
-        orphan, locks = directory / name, _locks(directory, name)
+        orphan = directory / name
+        locks = [path for lock in LOCKS if (path := directory / f"{name}{lock}").exists()]
         with suppress(OSError), ExitStack() as held:  # in use, somebody else's, or gone by now
             for lock in locks:
                 held.enter_context(_held(lock))
             age = time.time() - (locks[0] if locks else orphan).stat().st_ctime
-            ours = whose is Whose.OURS
+            ours = _is_ours_alone(name)
             # Asked for only where it matters: it reads the maps of all processes.
             unused = not (locks and ours) and name not in _mapped_by_others()
-            if _locks(directory, name) != locks:  # somebody has come while we were looking
-                continue
             if age > (UNHELD if locks or unused else YOUNGEST) and (ours or unused):
                 for file in (orphan, directory / f"sem.{name}_mutex", *locks):
                     file.unlink(missing_ok=True)
-
-
-def _locks(directory: Path, name: str) -> list[Path]:
-    return [path for lock in LOCKS if (path := directory / f"{name}{lock}").exists()]
 
 
 @contextmanager
@@ -73,30 +61,17 @@ def _held(lock: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-class Whose(Enum):
-    """Whom a segment or a port is for, by its name."""
-
-    OURS = "a segment, whose name nobody has twice, or a port of our domain"
-    ALL_DOMAINS = "a port that processes of any domain may have"
-    ANOTHER_DOMAINS = "a port of another domain"
-
-
-def _whose(name: str) -> Whose:
-    """Return whom `name` is for.
+def _is_ours_alone(name: str) -> bool:
+    """Whether no process of another flight may have `name`, or get it, by its number.
 
     Who ends in order gives up the lock of its port at once, but others may have the port, or its
     mutex, mapped for some time yet. The last of them removes it by its name: had we done so before,
     and had somebody new that name by then, nobody who comes later could reach it. Ports of our own
-    domain are ours to remove; those of another domain are left to those who are on it: somebody may
-    be starting again there, on the port that he was killed with.
+    domain are ours to remove, and so are segments, whose names nobody has twice.
     """
     _, _, port = name.partition("port")
-    if not port:
-        return Whose.OURS
-    domain = (int(port) - FIRST_PORT) // PORTS
-    if domain == int(os.environ.get("ROS_DOMAIN_ID") or 0):
-        return Whose.OURS
-    return Whose.ANOTHER_DOMAINS if domain >= 0 else Whose.ALL_DOMAINS
+    first = FIRST_PORT + PORTS * int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    return not port or int(port) in range(first, first + PORTS)
 
 
 def _mapped_by_others() -> set[str]:
