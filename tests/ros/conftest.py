@@ -6,6 +6,7 @@ A visitor of a terminal is on the domain of the terminal.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 
 from flock_sim.nodes.process import ros_context
-from terminal import Terminal, open_terminal, own_domain
+from terminal import Terminal, open_terminal, own_domain, segments
 from visitor import Visitor, tell_fast_dds, visiting
 
 
@@ -23,6 +24,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if here in item.path.parents:
             item.add_marker(pytest.mark.ros)
+
+
+@pytest.fixture(autouse=True)
+def _closes_what_it_opens() -> Iterator[None]:
+    """See that a test leaves none of its ROS contexts open in this process."""
+    before = segments(os.getpid())
+    yield
+    assert segments(os.getpid()) <= before
 
 
 @pytest.fixture

@@ -122,9 +122,12 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
         if not options.paused:
             player.meet(stop)
         gc.freeze()  # nothing of what is here by now is looked through again, for milliseconds
-        schedule.jump(span[0] + start)
-        _run(playback, span, stop)
-        player.wait_until_heard(stop)
+        try:
+            schedule.jump(span[0] + start)
+            _run(playback, span, stop)
+            player.wait_until_heard(stop)
+        finally:
+            gc.unfreeze()
     return {
         "run": str(options.run),
         "messages": playback.played.total(),
@@ -175,6 +178,7 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
+                player.destroy_node()  # the executor, shut down, knows it no more
     finally:
         rclpy.try_shutdown(context=context)
         if alone:  # else who stays would have our port mapped, and not hear who gets it next
