@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from flock_sim.discovery import PROFILES, prepare_discovery
 from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.process import ros_context
 from flock_sim.shared_memory import remove_orphans
-from terminal import Terminal
+from terminal import Terminal, segments
 
 DEADLINE = 60.0
 """Time, in s, within which a node must answer, or say what is waited for."""
@@ -46,7 +47,7 @@ class Visitor:
         """Serve the node until `condition` is true, and return what it gave."""
         deadline = time.monotonic() + DEADLINE
         while not (value := condition()):
-            assert time.monotonic() < deadline, f"not within {DEADLINE:g} s"
+            assert time.monotonic() < deadline, self._what_is_known()
             self._terminal.look()
             self._executor.spin_once(timeout_sec=0.05)
         return value
@@ -55,12 +56,26 @@ class Visitor:
         """Call a service, and return what it answers."""
         client = self.node.create_client(kind, name)
         try:
-            assert client.wait_for_service(DEADLINE), name
+            assert client.wait_for_service(DEADLINE), f"{name}: {self._what_is_known()}"
             future = client.call_async(kind.Request(**request))
             self.until(future.done)
             return future.result()
         finally:
             self.node.destroy_client(client)
+
+    def _what_is_known(self) -> str:
+        """Return what tells apart why nothing was heard: others not found, or memory taken away."""
+        shared = {
+            name: sorted(path.name for path in mapped)
+            for name, mapped in (
+                ("this process", segments(os.getpid())),
+                *((str(pid), segments(pid)) for pid in self._terminal.processes()),
+            )
+        }
+        return (
+            f"not within {DEADLINE:g} s; nodes known: {self.node.get_node_names()}; "
+            f"shared memory that is mapped and still there: {shared}"
+        )
 
     def hear(self, kind: Any, topic: str, *, raw: bool = False, depth: int = 100) -> list[Any]:
         """Return a list that grows with the messages on a latched topic."""
