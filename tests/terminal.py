@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -236,30 +236,19 @@ class Terminal:
 
     def left_behind(self) -> list[str]:
         """Return what is left of our tools: processes, shared memory, temporary files."""
-        files = [*self.home.iterdir(), *self.temporary.iterdir(), *self._segments_left()]
+        files = [*self.home.iterdir(), *self.temporary.iterdir(), *self._shared_memory_left()]
         processes = [f"process {pid}: {' '.join(_words(pid))}" for pid in self.processes()]
         return processes + [str(file) for file in files]
 
-    def _segments_left(self) -> list[Path]:
-        """Return the shared memory that we used and nobody uses.
-
-        Without the ports that all domains have in common: flights of others come and go on them.
-        """
-        left = []
-        for segment in sorted(self._segments - _segments_of_all()):
-            port = segment.name.removeprefix("fastrtps_port")
-            if port.isdecimal() and (int(port) - 7400) // 250 != self._domain:
-                continue
-            names = (segment.name, f"{segment.name}_el", f"sem.{segment.name}_mutex")
-            left += [segment.with_name(name) for name in names]
-        return [path for path in left if path.exists()]
+    def _shared_memory_left(self) -> list[Path]:
+        return left_of(self._segments, {self._domain})
 
     def clear(self) -> None:
         """End what still runs and remove what is left."""
         for pid in self.processes():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        for file in self._segments_left():
+        for file in self._shared_memory_left():
             file.unlink(missing_ok=True)
 
 
@@ -307,6 +296,21 @@ def segments(pid: int) -> set[Path]:
         for name in names
         if name.startswith("fastrtps_") and not name.endswith("(deleted)")
     }
+
+
+def left_of(used: set[Path], domains: Collection[int]) -> list[Path]:
+    """Return what is there of the segments and ports that were `used` and that nobody uses.
+
+    Without the ports that all domains have in common: flights of others come and go on them.
+    """
+    left = []
+    for segment in sorted(used - _segments_of_all()):
+        port = segment.name.removeprefix("fastrtps_port")
+        if port.isdecimal() and (int(port) - 7400) // 250 not in domains:
+            continue
+        names = (segment.name, f"{segment.name}_el", f"sem.{segment.name}_mutex")
+        left += [segment.with_name(name) for name in names]
+    return [path for path in left if path.exists()]
 
 
 def _segments_of_all() -> set[Path]:

@@ -27,7 +27,7 @@ from flock_sim.nodes.bird import BirdNode
 from flock_sim.run import Run
 from flock_sim.testing import fly_in_process
 from flock_tools.dataset import load
-from terminal import segments
+from terminal import left_of, segments
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +76,7 @@ def test_the_dataset_is_that_of_the_reference_to_the_bit(flock, tmp_path):
 
 
 def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypatch, temporary):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "142")  # none that a flight looks for
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
     monkeypatch.setattr(Watched, "segments", set())
@@ -91,8 +91,9 @@ def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypat
     assert threading.active_count() == threads
     used = Watched.segments - before  # what others have opened in this process is theirs to close
     assert used
-    assert [path for path in used if path.exists()] == []
-    assert "42" not in Watched.domains
+    assert left_of(used, set(map(int, Watched.domains))) == []
+    assert segments(os.getpid()) == before
+    assert "142" not in Watched.domains
     assert list(temporary.iterdir()) == []
 
 
