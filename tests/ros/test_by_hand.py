@@ -143,12 +143,14 @@ def test_bad_parameters_are_refused_in_one_line(
     assert list(terminal.directory.iterdir()) == []
 
 
-STEPS = 9000
+STEPS = 27000
+EVERY = 30
 LONG = f"""\
 /**:
   ros__parameters:
     birds: 3
     t_max: {STEPS}.0
+    record_every: {EVERY}
     span_ratios: ["2=0.97"]
 """
 
@@ -175,7 +177,7 @@ def assert_end_as_the_reference(terminal: Terminal, jobs: dict[str, Job]) -> Non
         done = job.wait()
         assert done.status == 0, done.stderr
     terminal.well("reference", "--config", "long.yaml", "--output", "reference")
-    assert_equal(terminal, "bag", "reference", 3 * (STEPS // 10 + 1))
+    assert_equal(terminal, "bag", "reference", 3 * (STEPS // EVERY + 1))
 
 
 @pytest.mark.parametrize("killed", ["bird 2", "clock", "recorder"])

@@ -22,8 +22,8 @@ from flock_sim.run import Run
 from terminal import Job, Terminal
 from visitor import Visitor, values
 
-STEPS = 15000
-EVERY = 10
+STEPS = 60000  # so long that no flight ends before it is asked for something: nobody would answer
+EVERY = 40
 FLOCK = ("--birds", 2, "--t-max", STEPS, "--record-every", EVERY, "--span-ratio", "2=0.97,1.03")
 STATES = 2 * (STEPS // EVERY + 1)
 
@@ -142,6 +142,7 @@ def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
     one = perturb(visitor, bird=2, member=1, step=0, position=0.01, speed=0.0)
     assert one.success, one.message
     assert one.message == f"bird 2 is pushed at step {one.step}"
+    trigger(visitor, "pause")
     both = visitor.until(
         lambda: (
             answer
@@ -150,6 +151,7 @@ def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
         )
     )
     assert both.step == STEPS - 5
+    trigger(visitor, "resume")
     if killed:
         os.kill(job.workers("flock_sim.nodes.bird")[0], signal.SIGKILL)
     done = job.wait()
@@ -171,6 +173,7 @@ def test_a_push_that_can_t_be_is_refused_and_disturbs_nothing(
     terminal: Terminal, visitor: Visitor
 ) -> None:
     job = in_flight(terminal)
+    trigger(visitor, "pause")
     push = {"bird": 1, "member": 1, "step": 0, "position": 0.1, "speed": 0.0}
     for wrong, named in (
         ({"bird": 9}, "bird 9 is not among 1..2"),
@@ -185,6 +188,7 @@ def test_a_push_that_can_t_be_is_refused_and_disturbs_nothing(
         assert not answer.success
         assert named in answer.message
         assert "\n" not in answer.message
+    trigger(visitor, "resume")
     done = job.wait()
     assert done.status == 0, done.stderr
     assert done.json["rewinds"] == 0
