@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from flock_sim.discovery import quiet_domains
+from flock_sim.shared_memory import FIRST_PORT, PORTS
 
 TOOLS = {
     "fly": "flock_sim.fly",
@@ -306,7 +307,7 @@ def left_of(used: set[Path], domains: Collection[int]) -> list[Path]:
     left = []
     for segment in sorted(used - _segments_of_all()):
         port = segment.name.removeprefix("fastrtps_port")
-        if port.isdecimal() and (int(port) - 7400) // 250 not in domains:
+        if port.isdecimal() and (int(port) - FIRST_PORT) // PORTS not in domains:
             continue
         names = (segment.name, f"{segment.name}_el", f"sem.{segment.name}_mutex")
         left += [segment.with_name(name) for name in names]
