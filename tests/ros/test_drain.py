@@ -91,7 +91,8 @@ def test_the_executor_does_not_wait_while_messages_come(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("birds", [drain.TOGETHER + 1, 2 * drain.TOGETHER + 45])
-def test_of_many_birds_each_gets_far_at_a_turn(birds: int) -> None:
+def test_of_many_birds_each_gets_far_at_a_turn(birds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drain, "RARELY", 1)  # each turn is counted
     chain: list[Link] = []
     for _ in range(birds):
         Link(chain, end=400)
@@ -101,6 +102,42 @@ def test_of_many_birds_each_gets_far_at_a_turn(birds: int) -> None:
     assert executor.waits == 0
     rounds = chain[0].runs
     assert 400 / rounds >= 8  # stages in a round over all groups
+
+
+def test_what_comes_rarely_is_looked_for_rarely_but_before_the_executor_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(drain, "FRUITLESS_SWEEPS", 3)
+    chain: list[Link] = []
+    for _ in range(3):
+        Link(chain, end=1600)
+    rare: list[int] = []
+    around: list[int] = []
+
+    def look_around() -> bool:
+        around.append(chain[0].stage)
+        return False
+
+    def drain_rare() -> bool:
+        rare.append(chain[0].stage)
+        return False
+
+    chain[0].drain_rare = drain_rare  # type: ignore[method-assign]
+    keep_flying(chain, Executor(), 0, Patience(1e9, print), look_around)
+    assert len(around) >= 1600 / drain.SWEEPS
+    assert 1600 / (drain.SWEEPS * drain.RARELY) - 1 <= len(rare) <= len(around) / drain.RARELY + 1
+
+    waiting = EveryOther(1)
+    waiting.drain = lambda: False  # type: ignore[method-assign]
+
+    def at_last() -> bool:
+        waiting.left = 0
+        return True
+
+    monkeypatch.setattr(drain, "RARELY", 10**9)
+    waiting.drain_rare = at_last  # type: ignore[method-assign]
+    keep_flying([waiting], Executor(), 0, Patience(1e9, print))
+    assert waiting.finished
 
 
 def test_a_bird_that_hears_nothing_gives_up_and_says_what_it_waits_for(

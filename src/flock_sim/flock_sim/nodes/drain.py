@@ -24,6 +24,10 @@ TOGETHER = 128
 GROUP = 32
 """Of more than that, so many are in a group."""
 
+RARELY = 16
+"""One in so many turns also looks for what comes rarely, bird by bird. Where many processes share
+few cores, most turns find nothing, and each takes its core from a bird that could go on."""
+
 FRUITLESS_SWEEPS = 1000
 """Sweeps without a message, each giving the processor away, before the executor has to wait."""
 
@@ -73,17 +77,22 @@ def keep_flying(
     Raises RunFailed when `patience` runs out.
     """
     groups = _groups(birds)
-    fruitless = reports = 0
+    turns = fruitless = reports = 0
     while True:
         moved = False
+        turns += 1
+        waits = fruitless >= FRUITLESS_SWEEPS
+        rarely = waits or turns % RARELY == 0
         for group in groups:
             moved |= _go_on(group)
         if stop:
             return
-        moved |= look_around()
-        for bird in birds:
-            if bird.drain_rare():
-                moved = True
+        if moved or rarely:
+            moved |= look_around()
+        if rarely:
+            for bird in birds:
+                if bird.drain_rare():
+                    moved = True
         if moved:
             fruitless = 0
             continue
