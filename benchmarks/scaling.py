@@ -23,9 +23,9 @@ from rich.table import Table
 from run import LIMIT, relay
 
 STEPS = {1: 1000, 13: 3000, 101: 500, 501: 100}
-PROCESSES = (1, 2)
-MOST_PROCESSES = 13
-"""Flocks of up to so many birds fly with a process a bird, too."""
+LAYOUTS = ("13x1", "13x2", "13x13", "101x1", "101x2", "501x1", "501x2")
+"""Birds and processes. With a process a bird, many share few cores, so that a tenth of the steps
+takes as long."""
 
 
 @dataclass
@@ -101,26 +101,38 @@ def loopback() -> tuple[int, int]:
     raise SystemExit("this machine has no loopback device")
 
 
+def layout_of(words: str) -> tuple[int, int]:
+    """Return birds and processes of, say, "13x2"."""
+    birds, _, processes = words.partition("x")
+    return int(birds), int(processes)
+
+
 def main() -> None:
     """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--birds", type=int, nargs="+", default=[13, 101, 501])
+    parser.add_argument("--layouts", nargs="+", default=LAYOUTS, metavar="BIRDSxPROCESSES")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "101")
-    layouts = [(1, 1)]
-    for birds in options.birds:
-        a_process_each = [birds] if birds <= MOST_PROCESSES else []
-        layouts += [(birds, processes) for processes in (*PROCESSES, *a_process_each)]
+    layouts = [(1, 1), *(layout_of(words) for words in options.layouts)]
     results = {layout: Measured() for layout in layouts}
     with Console(stderr=True).status("") as status:
         for count in range(options.rounds):
             for (birds, processes), measured in results.items():
                 status.update(f"round {count + 1}: {birds} birds in {processes}")
                 steps = STEPS.get(birds, max(50, 50000 // birds))
+                if birds == processes > 1:
+                    steps //= 10
                 if birds > 1:
                     measured.relay.append(relay("direct", processes, steps, birds))
                 fly(birds, processes, steps, measured)
+                if birds > 1:
+                    rate, bare = measured.fly[-1], measured.relay[-1]
+                    print(
+                        f"{birds} birds in {processes}: relay {bare:,.1f}, fly {rate:,.1f} "
+                        f"steps/s, ratio {rate / bare:.2f}, start {measured.start[-1]:.1f} s",
+                        file=sys.stderr,
+                    )
         traffic = {layout: discovery(*layout) for layout in layouts if layout[0] > 1}
 
     alone = median(results[1, 1].memory)
