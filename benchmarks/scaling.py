@@ -23,7 +23,7 @@ from rich.table import Table
 from run import LIMIT, relay
 
 STEPS = {1: 1000, 13: 3000, 101: 500, 501: 100}
-LAYOUTS = ("13x1", "13x2", "13x13", "101x1", "101x2", "501x1", "501x2")
+LAYOUTS = ((13, 1), (13, 2), (13, 13), (101, 1), (101, 2), (501, 1), (501, 2))
 """Birds and processes. With a process a bird, many share few cores, so that a tenth of the steps
 takes as long."""
 
@@ -101,7 +101,7 @@ def loopback() -> tuple[int, int]:
     raise SystemExit("this machine has no loopback device")
 
 
-def layout_of(words: str) -> tuple[int, int]:
+def layout(words: str) -> tuple[int, int]:
     """Return birds and processes of, say, "13x2"."""
     birds, _, processes = words.partition("x")
     return int(birds), int(processes)
@@ -111,11 +111,13 @@ def main() -> None:
     """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--layouts", nargs="+", default=LAYOUTS, metavar="BIRDSxPROCESSES")
+    parser.add_argument(
+        "--layouts", type=layout, nargs="+", default=LAYOUTS, metavar="BIRDSxPROCESSES"
+    )
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "101")
-    layouts = [(1, 1), *(layout_of(words) for words in options.layouts)]
-    results = {layout: Measured() for layout in layouts}
+    layouts = [(1, 1), *options.layouts]
+    results = {flown: Measured() for flown in layouts}
     with Console(stderr=True).status("") as status:
         for count in range(options.rounds):
             for (birds, processes), measured in results.items():
@@ -133,7 +135,7 @@ def main() -> None:
                         f"steps/s, ratio {rate / bare:.2f}, start {measured.start[-1]:.1f} s",
                         file=sys.stderr,
                     )
-        traffic = {layout: discovery(*layout) for layout in layouts if layout[0] > 1}
+        traffic = {flown: discovery(*flown) for flown in layouts if flown[0] > 1}
 
     alone = median(results[1, 1].memory)
     table = Table(title=f"median of {options.rounds} rounds")

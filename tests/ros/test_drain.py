@@ -136,7 +136,7 @@ def test_what_comes_rarely_is_looked_for_rarely_but_before_the_executor_waits(
 
     monkeypatch.setattr(drain, "RARELY", 10**9)
     waiting.drain_rare = at_last  # type: ignore[method-assign]
-    keep_flying([waiting], Executor(), 0, Patience(1e9, print))
+    keep_flying([waiting], Executor(), 0, Patience(2.0, print))
     assert waiting.finished
 
 

@@ -81,8 +81,7 @@ def keep_flying(
     while True:
         moved = False
         turns += 1
-        waits = fruitless >= FRUITLESS_SWEEPS
-        rarely = waits or turns % RARELY == 0
+        rarely = turns % RARELY == 0 or fruitless >= FRUITLESS_SWEEPS
         for group in groups:
             moved |= _go_on(group)
         if stop:
