@@ -215,6 +215,7 @@ class Terminal:
         """Run a tool that must end well."""
         done = self.run(tool, *arguments)
         assert done.status == 0, done.stderr
+        assert "ended by force" not in done.stderr
         return done
 
     def processes(self) -> list[int]:

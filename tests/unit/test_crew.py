@@ -105,15 +105,29 @@ def test_one_that_is_killed_is_named_with_the_signal(
     assert removed == [1]
 
 
-def test_those_that_do_not_end_are_named(hands: Path) -> None:
+def test_those_that_do_not_end_are_named_where_they_had_to(hands: Path) -> None:
     with Crew({}) as crew:
-        crew.start("one", "hand_waits", {})
+        crew.start("one", "hand_waits", {}, to_the_end=True)
         crew.start("two", "hand_well", {})
-        crew.start("three", "hand_waits", {})
+        crew.start("three", "hand_waits", {}, to_the_end=True)
         pids = ready(hands, 2)
         until(lambda: crew._hands[1].process.poll() is not None)
         with pytest.raises(RunFailed, match=r"^one and three did not end within 0\.1 s"):
             crew.join(0.1)
+    assert not any(map(lives, pids))
+
+
+def test_those_that_do_not_end_and_are_needed_no_more_are_ended_with_a_note(
+    hands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Crew({}) as crew:
+        crew.start("one", "hand_waits", {})
+        crew.start("two", "hand_well", {}, to_the_end=True)
+        pids = ready(hands, 1)
+        until(lambda: crew._hands[1].process.poll() is not None)
+        crew.join(0.1)
+    said = "one did not end within 0.1 s of the flight's end: ended by force\n"
+    assert capsys.readouterr().err == said
     assert not any(map(lives, pids))
 
 

@@ -100,15 +100,19 @@ class Crew:
             _run(hand)
 
     def join(self, timeout: float) -> None:
-        """Wait until all have ended, well if they had to; raise RunFailed after `timeout` s."""
+        """Wait until all have ended, well if they had to; raise RunFailed after `timeout` s.
+
+        Who has nothing to do at the end only has a note written, and is killed as the context ends.
+        """
         deadline = time.monotonic() + timeout
-        while any(hand.process.poll() is None for hand in self._hands):
+        while running := [hand for hand in self._hands if hand.process.poll() is None]:
             self._check_at_end()
             if time.monotonic() > deadline:
-                running = [hand.who for hand in self._hands if hand.process.poll() is None]
-                raise RunFailed(
-                    f"{' and '.join(running)} did not end within {timeout:g} s of the flight's end"
-                )
+                late = f"did not end within {timeout:g} s of the flight's end"
+                if needed := [hand.who for hand in running if hand.to_the_end]:
+                    raise RunFailed(f"{' and '.join(needed)} {late}")
+                note(f"{' and '.join(hand.who for hand in running)} {late}: ended by force")
+                return
             time.sleep(0.005)  # a poll of processes, which nothing announces
         self._check_at_end()
 
