@@ -19,7 +19,8 @@ import numpy as np
 from flock_interfaces.msg import BirdStage
 from flock_sim.core import formation, messages, topics
 from flock_sim.nodes.endpoints import DrainedNode, latched
-from flock_sim.nodes.process import make_executor, ros_context
+from flock_sim.nodes.process import executing, ros_context
+from flock_sim.nodes.turn import turn
 
 ONE = np.ones(1)
 
@@ -85,28 +86,25 @@ def main() -> None:
     kind = sys.argv[1]
     birds, steps, first, last = (int(word) for word in sys.argv[2:])
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
-    executor = make_executor("events", context)
-    nodes = [
-        RelayNode(bird, birds, 4 * steps, kind == "direct", context)
-        for bird in range(first, last + 1)
-    ]
-    for node in nodes:
-        executor.add_node(node)
-        node.send()
-    while any(node.tick < node.ticks for node in nodes):
-        if kind == "events":
-            executor.spin_once(timeout_sec=1.0)
-        else:
-            moved = [node.drain() for node in nodes]
-            if not any(moved):
-                os.sched_yield()
-    for node in nodes:
-        node.outlet.wait_for_all_acked()
-    print(min(node.begun for node in nodes), max(node.ended for node in nodes))
-    for node in nodes:
-        executor.remove_node(node)
-        node.destroy_node()
-    executor.shutdown()
+    with executing("events", context) as executor:
+        with turn():
+            nodes = [
+                RelayNode(bird, birds, 4 * steps, kind == "direct", context)
+                for bird in range(first, last + 1)
+            ]
+        for node in nodes:
+            executor.add_node(node)
+            node.send()
+        while any(node.tick < node.ticks for node in nodes):
+            if kind == "events":
+                executor.spin_once(timeout_sec=1.0)
+            else:
+                moved = [node.drain() for node in nodes]
+                if not any(moved):
+                    os.sched_yield()
+        for node in nodes:
+            node.outlet.wait_for_all_acked()
+        print(min(node.begun for node in nodes), max(node.ended for node in nodes))
     context.try_shutdown()
 
 

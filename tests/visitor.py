@@ -18,7 +18,8 @@ from rclpy.node import Node
 
 from flock_sim.discovery import PROFILES, prepare_discovery
 from flock_sim.nodes.endpoints import latched
-from flock_sim.nodes.process import ros_context
+from flock_sim.nodes.process import destroy, ros_context
+from flock_sim.nodes.turn import turn
 from flock_sim.shared_memory import remove_orphans
 from terminal import Terminal, segments
 
@@ -31,9 +32,10 @@ class Visitor:
 
     def __init__(self, terminal: Terminal, context: Context) -> None:
         """Be a node on the terminal's domain."""
-        self.node = Node(
-            "visitor", context=context, start_parameter_services=False, enable_rosout=False
-        )
+        with turn():
+            self.node = Node(
+                "visitor", context=context, start_parameter_services=False, enable_rosout=False
+            )
         self._terminal = terminal
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
@@ -41,7 +43,7 @@ class Visitor:
     def close(self) -> None:
         """Leave."""
         self._executor.shutdown()
-        self.node.destroy_node()
+        destroy(self.node)
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Serve the node until `condition` is true, and return what it gave."""

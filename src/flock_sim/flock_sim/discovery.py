@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
+from flock_sim.claims import claimed
 from flock_sim.command_line import note
 from flock_sim.core.spelling import nearest
 from flock_sim.errors import FlockError
@@ -41,9 +42,8 @@ _turns = itertools.count()
 def own_domain() -> Iterator[None]:
     """Hold a ROS domain on which no other `fly` of this machine is, if the environment names none.
 
-    The first that is free, held by a name in the kernel's abstract socket namespace, which is free
-    again when this process ends, however it does. One that the environment names is taken as it is:
-    flights on one domain do not touch each other, and only listen to each other's noise.
+    The first that is free. One that the environment names is taken as it is: flights on one domain
+    do not touch each other, and only listen to each other's noise.
     """
     chosen = os.environ.get(DOMAIN)
     with held_domain([int(chosen)] if chosen else range(SAFE_DOMAINS)) as held:
@@ -60,15 +60,7 @@ def own_domain() -> Iterator[None]:
 def held_domain(domains: Iterable[int]) -> Iterator[int | None]:
     """Hold the first of `domains` that no flight of this machine holds; None where all are held."""
     with socket.socket(socket.AF_UNIX) as claim:
-        yield next((domain for domain in domains if _claimed(claim, domain)), None)
-
-
-def _claimed(claim: socket.socket, domain: int) -> bool:
-    try:
-        claim.bind(f"\0flock-domain-{domain}")
-    except OSError:
-        return False
-    return True
+        yield next((domain for domain in domains if claimed(claim, f"domain-{domain}")), None)
 
 
 def quiet_domains() -> list[int]:

@@ -284,6 +284,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
     from flock_sim.nodes.parameters import declare
     from flock_sim.nodes.patience import Patience
     from flock_sim.nodes.process import executing, ros_context
+    from flock_sim.nodes.turn import turn
 
     configuration = plan.configuration
     keeper = Timekeeper(
@@ -310,7 +311,8 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
                 crew.check(furthest)
 
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
-            clock = ClockNode(keeper, depth, context=context)
+            with turn():
+                clock = ClockNode(keeper, depth, context=context)
             operation = {**vars(plan), "run_id": run_id, "record": plan.output is not None}
             declare(clock, configuration, operation, OWN)
             executor.add_node(clock)

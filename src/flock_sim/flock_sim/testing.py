@@ -35,6 +35,7 @@ from flock_sim.nodes.clock import ClockNode, first_epoch, keep_time
 from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import executing, ros_context
 from flock_sim.nodes.recorder import RecorderNode, record
+from flock_sim.nodes.turn import turn
 from flock_sim.recording import Recording, recording
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.stop import Stop
@@ -133,7 +134,8 @@ def _fly(
             held.enter_context(executing(EXECUTORS[0], context)) for _ in range(3)
         )
         depth = topics.depth(topics.CLOCK_TOPIC, configuration)
-        clock = ClockNode(keeper, depth, context=context)
+        with turn():
+            clock = ClockNode(keeper, depth, context=context)
         of_clock.add_node(clock)
         recorder = RecorderNode(configuration, run, run_id, False, context=context)
         of_recorder.add_node(recorder)

@@ -20,7 +20,8 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.command_line import LONGEST, Parser, note, positive_number, print_json, run_tool
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
-from flock_sim.nodes.process import executing, is_alone, ros_context
+from flock_sim.nodes.process import destroy, executing, is_alone, ros_context
+from flock_sim.nodes.turn import turn
 from flock_sim.progress import playback_bar
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
@@ -168,7 +169,8 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
     alone = True
     try:
         with executing("single", context) as executor:
-            player = Player(selection.topics, context)
+            with turn():
+                player = Player(selection.topics, context)
             executor.add_node(player)
             thread = Thread(target=executor.spin, daemon=True)
             try:
@@ -178,7 +180,7 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
-                player.destroy_node()  # the executor, shut down, knows it no more
+                destroy(player)  # the executor, shut down, knows it no more
     finally:
         rclpy.try_shutdown(context=context)
         if alone:  # else who stays would have our port mapped, and not hear who gets it next

@@ -21,6 +21,7 @@ from flock_sim.discovery import DOMAIN
 from flock_sim.errors import RunFailed
 from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.process import executing, ros_context
+from flock_sim.nodes.turn import turn
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.stop import Stop
 from flock_tools.watch_view import Sample, View
@@ -92,7 +93,8 @@ def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Ex
     alone = True
     try:
         with executing("single", context) as executor:
-            watcher = make(context)
+            with turn():
+                watcher = make(context)
             executor.add_node(watcher)
             try:
                 yield watcher, executor

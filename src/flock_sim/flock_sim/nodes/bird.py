@@ -228,6 +228,7 @@ def work(process: Process) -> None:
         if alone:
             operation = {**operation, "index": indices[0]}
             declare(birds[0], configuration, operation, ("index", *OF_ALL))
+        process.settle()
         gc.freeze()  # what is here stays: no need to look through it again and again
         fly_together(birds, executor, process.stop, process.patience(), keep)
         if watch:

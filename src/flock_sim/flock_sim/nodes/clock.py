@@ -213,6 +213,7 @@ def work(process: Process) -> None:
         clock = ClockNode(keeper, depth, context=process.context)
         declare(clock, process.configuration, operation, OWN)
         executor.add_node(clock)
+        process.settle()
         keep_time(clock, executor, process.patience(), lambda: process.stop)
         clock.release()
         clock.farewell(process.stop)

@@ -158,6 +158,7 @@ def record_played(process: Process, output: Path) -> None:
     ):
         node = PlayedRecorderNode(configuration, run, process.context)
         executor.add_node(node)
+        process.settle()
         while not process.stop and not node.ledger.complete:
             if node.drain():
                 patience.renew()

@@ -9,8 +9,9 @@ import os
 import secrets
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,7 @@ from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
 from flock_sim.nodes.patience import Patience
+from flock_sim.nodes.turn import turn
 from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
@@ -57,6 +59,9 @@ OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 PR_SET_PDEATHSIG = 1
 
+CALM = 0.02
+"""Time, in s, in which we will have heard all that who had the turn before us had to say."""
+
 
 @dataclass(frozen=True)
 class Process:
@@ -67,6 +72,11 @@ class Process:
     context: Context
     stop: Stop
     supervised: bool
+    settle: Callable[[], None]
+    """To be called once the nodes are there: the one that read the parameters may go then.
+
+    Had it gone before, the participant of the process would have gone with it, to be made again.
+    """
 
     def patience(self) -> Patience:
         """Return how long this process waits: silently under `fly`, whose clock speaks for it."""
@@ -80,10 +90,19 @@ def executing(kind: str, context: Context) -> Iterator[Executor]:
     try:
         yield executor
     finally:
-        for node in list(executor.get_nodes()):
+        nodes = list(executor.get_nodes())
+        for node in nodes:
             executor.remove_node(node)
-            node.destroy_node()
+        destroy(*nodes)
         executor.shutdown()
+
+
+def destroy(*nodes: Node) -> None:
+    """Destroy `nodes`; the last of a process ends its participant, which takes a turn."""
+    with turn():
+        time.sleep(CALM)
+        for node in nodes:
+            node.destroy_node()
 
 
 def make_executor(kind: str, context: Context) -> Executor:
@@ -140,10 +159,11 @@ def run_node(
         with results_only_on_stdout():
             context = ros_context(arguments)
             try:
-                configuration, operation = _parameters(name, context)
-                if options.timeout is not None:
-                    operation["timeout"] = positive_number("--timeout", options.timeout)
-                work(Process(configuration, operation, context, stop, supervised))
+                with ExitStack() as reader:
+                    configuration, operation = _parameters(name, context, reader)
+                    if options.timeout is not None:
+                        operation["timeout"] = positive_number("--timeout", options.timeout)
+                    work(Process(configuration, operation, context, stop, supervised, reader.close))
             finally:
                 rclpy.try_shutdown(context=context)
                 remove_orphans()
@@ -180,21 +200,25 @@ def _follow_parent() -> None:
             raise FlockError("the process that started this one is gone; start the flight again")
 
 
-def _parameters(name: str, context: Context) -> tuple[FlockConfiguration, dict[str, Any]]:
+def _parameters(
+    name: str, context: Context, reader: ExitStack
+) -> tuple[FlockConfiguration, dict[str, Any]]:
     """Return what was flown and how, from the ROS parameters given to this process.
 
-    They are read by a node of their own, before the real one: its name depends on them.
+    They are read by a node of their own, before the real one: its name depends on them. It is there
+    until `reader` is closed.
     """
-    reader = Node(
-        f"{name}_parameters",
-        namespace="/flock",
-        context=context,
-        start_parameter_services=False,
-        enable_rosout=False,
-        automatically_declare_parameters_from_overrides=True,
-    )
-    given = {key: p.value for key, p in reader.get_parameters_by_prefix("").items()}
-    reader.destroy_node()
+    with turn():
+        node = Node(
+            f"{name}_parameters",
+            namespace="/flock",
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            automatically_declare_parameters_from_overrides=True,
+        )
+    reader.callback(destroy, node)
+    given = {key: p.value for key, p in node.get_parameters_by_prefix("").items()}
     operation = dict(OPERATION)
     flown = {}
     for key, value in given.items():

@@ -391,6 +391,7 @@ def work(process: Process) -> None:
             own = ("output", "force", "resume", "record_stages", *OF_ALL)
             declare(node, configuration, operation, own)
         executor.add_node(node)
+        process.settle()
         record(node, executor, process.stop, process.patience())
 
 
