@@ -46,8 +46,8 @@ TOOLS = {
     "sweep": "flock_tools.sweep",
 }
 
-DEADLINE = 120.0
-"""Time, in s, after which a tool hangs: some ten times what the slowest takes on two cores."""
+DEADLINE = 300.0
+"""Time, in s, after which a tool hangs: some ten times what the slowest takes on two idle cores."""
 
 POLL = 0.02
 

@@ -143,9 +143,8 @@ def test_bad_parameters_are_refused_in_one_line(
     assert list(terminal.directory.iterdir()) == []
 
 
-STEPS = 27000
+STEPS = 15000
 EVERY = 30
-LONG_DEADLINE = 400.0  # s; beside other work on two cores it may take more than 120
 LONG = f"""\
 /**:
   ros__parameters:
@@ -175,7 +174,7 @@ def start_long(terminal: Terminal, who: str) -> Job:
 def assert_end_as_the_reference(terminal: Terminal, jobs: dict[str, Job]) -> None:
     """Hold that all end well, and that what was flown is what the reference flies."""
     for job in jobs.values():
-        done = job.wait(LONG_DEADLINE)
+        done = job.wait()
         assert done.status == 0, done.stderr
     terminal.well("reference", "--config", "long.yaml", "--output", "reference")
     assert_equal(terminal, "bag", "reference", 3 * (STEPS // EVERY + 1))

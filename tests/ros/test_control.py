@@ -22,7 +22,7 @@ from flock_sim.run import Run
 from terminal import Job, Terminal
 from visitor import Visitor, values
 
-STEPS = 60000  # so long that no flight ends before it is asked for something: nobody would answer
+STEPS = 30000  # so long that no flight ends before it is asked for something: nobody would answer
 EVERY = 40
 FLOCK = ("--birds", 2, "--t-max", STEPS, "--record-every", EVERY, "--span-ratio", "2=0.97,1.03")
 STATES = 2 * (STEPS // EVERY + 1)
