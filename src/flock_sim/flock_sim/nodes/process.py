@@ -99,6 +99,8 @@ def executing(kind: str, context: Context) -> Iterator[Executor]:
 
 def destroy(*nodes: Node) -> None:
     """Destroy `nodes`; the last of a process ends its participant, which takes a turn."""
+    if not nodes:
+        return
     with turn():
         time.sleep(CALM)
         for node in nodes:
