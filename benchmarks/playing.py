@@ -39,7 +39,6 @@ from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
 from flock_sim.discovery import held_domain, prepare_discovery, quiet_domains
 from flock_sim.nodes.process import ros_context
-from flock_sim.shared_memory import remove_orphans
 
 MILLISECOND = 1_000_000
 SPACING = 20 * MILLISECOND
@@ -174,7 +173,6 @@ def main() -> int:
             good.append(finds_its_place(listener, large, messages))
         finally:
             rclpy.try_shutdown(context=context)
-            remove_orphans()
     return 0 if all(good) else 1
 
 

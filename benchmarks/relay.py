@@ -20,7 +20,6 @@ from flock_interfaces.msg import BirdStage
 from flock_sim.core import formation, messages, topics
 from flock_sim.nodes.endpoints import DrainedNode, latched
 from flock_sim.nodes.process import executing, ros_context
-from flock_sim.nodes.turn import turn
 
 ONE = np.ones(1)
 
@@ -87,11 +86,10 @@ def main() -> None:
     birds, steps, first, last = (int(word) for word in sys.argv[2:])
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     with executing("events", context) as executor:
-        with turn():
-            nodes = [
-                RelayNode(bird, birds, 4 * steps, kind == "direct", context)
-                for bird in range(first, last + 1)
-            ]
+        nodes = [
+            RelayNode(bird, birds, 4 * steps, kind == "direct", context)
+            for bird in range(first, last + 1)
+        ]
         for node in nodes:
             executor.add_node(node)
             node.send()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several hosts on this machine, for a test, and a network between them that loses and delays.
 
-A host has its own network, loopback included, and its own shared memory; files and processes it
-shares with all. Nothing of it has a name that could be left behind: the kernel takes it away with
-the last process on the host, and the one that holds the host open ends with the test.
+A host has its own network, loopback included; files and processes it shares with all. Nothing of it
+has a name that could be left behind: the kernel takes it away with the last process on the host,
+and the one that holds the host open ends with the test.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def unavailable() -> str:
         return f"hosts need {' and '.join(absent)} (Debian: iproute2, util-linux)"
     if not TUN.exists():
         return f"hosts need {TUN}"
-    tried = subprocess.run(["unshare", "--net", "--mount", "true"], capture_output=True, text=True)
+    tried = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True)
     return tried.stderr.strip()
 
 
@@ -93,7 +93,7 @@ class Letter:
 
 
 class Host:
-    """A network, and a shared memory, of its own."""
+    """A network of its own."""
 
     def __init__(self, number: int, holder: subprocess.Popen[bytes]) -> None:
         self.address = f"{NETWORK}.{number}"
@@ -102,7 +102,7 @@ class Host:
 
     def enter(self, directory: Path) -> list[str]:
         """Return the words that, before a command, run it on this host, in `directory`."""
-        spaces = ["nsenter", f"--target={self._holder.pid}", "--net", "--mount"]
+        spaces = ["nsenter", f"--target={self._holder.pid}", "--net"]
         return [*spaces, "env", f"--chdir={directory}"]
 
     def plug_in(self, device: str) -> None:
@@ -207,8 +207,7 @@ def joined_hosts(count: int, weather: Weather) -> Iterator[tuple[list[Host], Tra
 @contextmanager
 def _host(number: int) -> Iterator[Host]:
     """Give a host: it exists as long as a process of ours, which ends when its input does."""
-    hold = "mount -t tmpfs none /dev/shm && echo up && exec cat"
-    command = ["unshare", "--net", "--mount", "sh", "-c", hold]
+    command = ["unshare", "--net", "sh", "-c", "echo up && exec cat"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"up\n"

@@ -15,14 +15,13 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flock_sim.discovery import quiet_domains
-from flock_sim.shared_memory import FIRST_PORT, PORTS
+from flock_sim.discovery import FIRST_PORT, LAST_DOMAIN, PORTS, quiet_domains
 
 TOOLS = {
     "fly": "flock_sim.fly",
@@ -118,7 +117,7 @@ class Job:
 
     def until_connected(self) -> Job:
         """Wait until the tool is on the DDS network."""
-        self.until(lambda: segments(self.process.pid))
+        self.until(lambda: ports(self.process.pid))
         return self
 
     def until_said(self, words: str, within: float = DEADLINE) -> Job:
@@ -162,7 +161,6 @@ class Terminal:
         for made in (self.home, self.temporary, self.directory, self._logs):
             made.mkdir(parents=True)
         self._mark = uuid.uuid4().hex
-        self._domain = domain
         self.environment = {
             **os.environ,
             "HOME": str(self.home),
@@ -174,7 +172,7 @@ class Terminal:
             MARK: self._mark,
         }
         self.environment.pop("FLOCK_SUPERVISED", None)
-        self._segments: set[Path] = set()
+        self._shared: set[str] = set()
         self._looked = 0.0
         self._count = 0
 
@@ -229,29 +227,24 @@ class Terminal:
         return found
 
     def look(self) -> None:
-        """Take note of the shared memory that our processes use, now and then."""
+        """Take note of the shared memory that our processes use, now and then: Flock uses none."""
         if time.monotonic() - self._looked < 0.2:
             return
         for pid in self.processes():
-            self._segments |= segments(pid)
+            self._shared |= shared_memory(pid)
         self._looked = time.monotonic()
 
     def left_behind(self) -> list[str]:
         """Return what is left of our tools: processes, shared memory, temporary files."""
-        files = [*self.home.iterdir(), *self.temporary.iterdir(), *self._shared_memory_left()]
+        files = [*self.home.iterdir(), *self.temporary.iterdir()]
         processes = [f"process {pid}: {' '.join(_words(pid))}" for pid in self.processes()]
-        return processes + [str(file) for file in files]
-
-    def _shared_memory_left(self) -> list[Path]:
-        return left_of(self._segments, {self._domain})
+        return [*processes, *map(str, files), *self._shared]
 
     def clear(self) -> None:
         """End what still runs and remove what is left."""
         for pid in self.processes():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        for file in self._shared_memory_left():
-            file.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -286,38 +279,29 @@ def own_domain() -> Iterator[int]:
     raise AssertionError("every ROS_DOMAIN_ID from 1 to 100 is in use")
 
 
-def segments(pid: int) -> set[Path]:
+def ports(pid: int) -> set[int]:
+    """Return the ports of ROS domains on which a process listens."""
+    links, table = set(), ""
+    with suppress(OSError):  # it may have ended
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):  # or have closed this one
+                links.add(os.readlink(link))
+        table = Path(f"/proc/{pid}/net/udp").read_text(encoding="ascii")
+    found = set()
+    for line in table.splitlines()[1:]:
+        _, local, _, _, _, _, _, _, _, inode, *_ = line.split()
+        if f"socket:[{inode}]" in links:
+            found.add(int(local.partition(":")[2], 16))
+    return found & set(range(FIRST_PORT, FIRST_PORT + PORTS * (LAST_DOMAIN + 1)))
+
+
+def shared_memory(pid: int) -> set[str]:
     """Return the shared memory of Fast DDS that a process has mapped."""
     try:
         maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
     except OSError:
         return set()
-    names = {line.partition("/dev/shm/")[2] for line in maps.splitlines()}
-    return {
-        Path("/dev/shm") / name
-        for name in names
-        if name.startswith("fastrtps_") and not name.endswith("(deleted)")
-    }
-
-
-def left_of(used: set[Path], domains: Collection[int]) -> list[Path]:
-    """Return what is there of the segments and ports that were `used` and that nobody uses.
-
-    Without the ports that all domains have in common: flights of others come and go on them.
-    """
-    left = []
-    for segment in sorted(used - _segments_of_all()):
-        port = segment.name.removeprefix("fastrtps_port")
-        if port.isdecimal() and (int(port) - FIRST_PORT) // PORTS not in domains:
-            continue
-        names = (segment.name, f"{segment.name}_el", f"sem.{segment.name}_mutex")
-        left += [segment.with_name(name) for name in names]
-    return [path for path in left if path.exists()]
-
-
-def _segments_of_all() -> set[Path]:
-    pids = [int(entry.name) for entry in Path("/proc").glob("[0-9]*")]
-    return {segment for pid in pids for segment in segments(pid)}
+    return {word for word in maps.split() if word.startswith("/dev/shm/fastrtps_")}
 
 
 def _words(pid: int) -> list[str]:

@@ -17,11 +17,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from flock_sim.discovery import PROFILES, prepare_discovery
+from flock_sim.nodes.departure import stop_discovery
 from flock_sim.nodes.endpoints import latched
-from flock_sim.nodes.process import destroy, ros_context
-from flock_sim.nodes.turn import turn
-from flock_sim.shared_memory import remove_orphans
-from terminal import Terminal, segments
+from flock_sim.nodes.process import ros_context
+from terminal import Terminal, ports
 
 DEADLINE = 60.0
 """Time, in s, within which a node must answer, or say what is waited for."""
@@ -32,10 +31,9 @@ class Visitor:
 
     def __init__(self, terminal: Terminal, context: Context) -> None:
         """Be a node on the terminal's domain."""
-        with turn():
-            self.node = Node(
-                "visitor", context=context, start_parameter_services=False, enable_rosout=False
-            )
+        self.node = Node(
+            "visitor", context=context, start_parameter_services=False, enable_rosout=False
+        )
         self._terminal = terminal
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
@@ -43,7 +41,8 @@ class Visitor:
     def close(self) -> None:
         """Leave."""
         self._executor.shutdown()
-        destroy(self.node)
+        stop_discovery(self.node.context)
+        self.node.destroy_node()
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Serve the node until `condition` is true, and return what it gave."""
@@ -66,17 +65,11 @@ class Visitor:
             self.node.destroy_client(client)
 
     def _what_is_known(self) -> str:
-        """Return what tells apart why nothing was heard: others not found, or memory taken away."""
-        shared = {
-            name: sorted(path.name for path in mapped)
-            for name, mapped in (
-                ("this process", segments(os.getpid())),
-                *((str(pid), segments(pid)) for pid in self._terminal.processes()),
-            )
-        }
+        """Return what tells apart why nothing was heard: others gone, or not found."""
+        listening = {pid: ports(pid) for pid in (os.getpid(), *self._terminal.processes())}
         return (
             f"not within {DEADLINE:g} s; nodes known: {self.node.get_node_names()}; "
-            f"shared memory that is mapped and still there: {shared}"
+            f"processes and the ports on which they listen: {listening}"
         )
 
     def hear(self, kind: Any, topic: str, *, raw: bool = False, depth: int = 100) -> list[Any]:
@@ -121,4 +114,3 @@ def visiting(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Vi
     finally:
         visitor.close()
         rclpy.try_shutdown(context=context)
-        remove_orphans()  # our port stays where somebody was killed who had it open

@@ -11,7 +11,7 @@ setup(
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_sim"]),
-        ("share/flock_sim", ["package.xml", "machine.xml", "network.xml", "player.xml"]),
+        ("share/flock_sim", ["package.xml", "machine.xml", "network.xml"]),
         (
             "share/flock_sim/launch",
             ["launch/flock.launch.py", "launch/composed.launch.py"],

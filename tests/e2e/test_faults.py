@@ -21,7 +21,6 @@ from rosbags.highlevel import AnyReader
 
 from flock_sim.errors import FlockError
 from flock_sim.run import Run
-from flock_sim.shared_memory import remove_orphans
 from terminal import Job, Terminal
 
 BIRD = "flock_sim.nodes.bird"
@@ -183,7 +182,6 @@ def test_the_processes_of_a_flight_do_not_outlive_it(terminal: Terminal) -> None
         terminal.look()
         time.sleep(0.02)
     assert_readable(terminal, complete=True)
-    remove_orphans()  # the shared memory of `fly` itself, which nobody is left to remove
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 
 from flock_sim.nodes.process import ros_context
-from terminal import Terminal, open_terminal, own_domain, segments
+from terminal import Terminal, open_terminal, own_domain, ports
 from visitor import Visitor, tell_fast_dds, visiting
 
 
@@ -29,9 +29,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def _closes_what_it_opens() -> Iterator[None]:
     """See that a test leaves none of its ROS contexts open in this process."""
-    before = segments(os.getpid())
+    before = ports(os.getpid())
     yield
-    assert segments(os.getpid()) <= before
+    assert ports(os.getpid()) <= before
 
 
 @pytest.fixture

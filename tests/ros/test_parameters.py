@@ -21,6 +21,7 @@ from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.parameters import OPERATION_MEANING, declare, descriptor
 from flock_sim.nodes.process import OPERATION, ros_context
 from terminal import Terminal
+from visitor import tell_fast_dds
 
 DEADLINE = 60.0
 """Time, in s, within which a node must answer."""
@@ -65,6 +66,7 @@ def asker(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]
     """A node of this process, on the domain of the terminal."""
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, terminal.environment[name])
+    tell_fast_dds(monkeypatch)
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     node = Node("asker", context=context, start_parameter_services=False, enable_rosout=False)
     try:

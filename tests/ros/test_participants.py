@@ -1,73 +1,92 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process has one DDS participant, and takes its turn at making and at ending it."""
+"""A process has one DDS participant, and leaves it without being caught in it."""
 
 from __future__ import annotations
 
 import os
 import signal
-import socket
-import threading
 import time
 from pathlib import Path
 
 import pytest
+import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from flock_sim.claims import claimed
-from flock_sim.nodes import turn as module
-from flock_sim.nodes.process import Process, destroy, executing, run_node
-from flock_sim.nodes.turn import turn
-from terminal import own_domain, segments
+from flock_sim.nodes import departure
+from flock_sim.nodes.departure import stop_discovery
+from flock_sim.nodes.process import Process, executing, ros_context, run_node
+from terminal import own_domain, ports, shared_memory
 from visitor import tell_fast_dds
 
+DEADLINE = 60.0
+"""Time, in s, in which two nodes find each other."""
 
-def somebody_has_a_turn() -> bool:
-    with socket.socket(socket.AF_UNIX) as claim:
-        return not claimed(claim, "participant")
-
-
-def test_one_at_a_time_has_a_turn() -> None:
-    there, most = 0, 0
-
-    def work() -> None:
-        nonlocal there, most
-        for _ in range(20):
-            with turn():
-                there += 1
-                most = max(most, there)
-                time.sleep(0.001)
-                there -= 1
-
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert most == 1
+QUIET = ["--ros-args", "--disable-external-lib-logs"]
 
 
-def test_who_never_gets_a_turn_goes_on_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PATIENCE", 0.05)
-    been = []
-    with turn(), turn():
-        been.append(1)
-    assert been
+def node_of(context: Context, name: str) -> Node:
+    return Node(name, context=context, start_parameter_services=False, enable_rosout=False)
 
 
-def test_a_participant_is_ended_in_a_turn(context: Context) -> None:
-    seen: list[bool] = []
+EVERYBODYS = "/parameter_events"
+"""A topic on which every node publishes."""
+
+
+def wait_for_publishers(count: int, node: Node) -> None:
+    deadline = time.monotonic() + DEADLINE
+    while (found := node.count_publishers(EVERYBODYS)) != count:
+        assert time.monotonic() < deadline, f"{found} nodes found, not {count}"
+        time.sleep(0.02)
+
+
+def test_who_is_about_to_leave_is_told_of_nobody_any_more(context: Context) -> None:
+    # Told, by a thread of its own, it could wait for itself for ever: so it is on this that the
+    # mend of Fast DDS rests. It learns of neither ends nor beginnings.
+    others = [ros_context(QUIET) for _ in range(2)]
+    one = node_of(context, "one")
+    two, three = node_of(others[0], "two"), None
+    try:
+        wait_for_publishers(2, one)
+        wait_for_publishers(2, two)
+        stop_discovery(context)  # of all participants on this domain: two is as deaf
+        three = node_of(others[1], "three")
+        wait_for_publishers(3, three)
+        assert one.count_publishers(EVERYBODYS) == 2
+        assert two.count_publishers(EVERYBODYS) == 2
+    finally:
+        for node in filter(None, (three, two, one)):
+            node.destroy_node()
+        for other in others:
+            rclpy.try_shutdown(context=other)
+
+
+def test_an_executor_leaves_before_its_nodes_end(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
 
     class Watched(Node):
         def destroy_node(self) -> None:
-            seen.append(somebody_has_a_turn())
+            order.append("node")
             super().destroy_node()
 
+    monkeypatch.setattr(
+        "flock_sim.nodes.process.stop_discovery", lambda context: order.append("discovery")
+    )
     with executing("events", context) as executor:
         for name in ("one", "two"):
             executor.add_node(Watched(name, context=context))
-    destroy(Watched("three", context=context))
-    assert seen == [True] * 3
+    assert order == ["discovery", "node", "node"]
+
+
+def test_a_fast_dds_that_is_not_known_is_left_alone(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(departure, "_fast_dds", lambda: None)
+    stop_discovery(context)
+    one = node_of(context, "one")
+    one.destroy_node()
 
 
 def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
@@ -77,17 +96,18 @@ def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     # As they were: the process of the test goes on.
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    shared: list[set[Path]] = []
+    used: list[set[int]] = []
     names: list[list[str]] = []
 
     def work(process: Process) -> None:
-        shared.append(segments(os.getpid()))
+        used.append(ports(os.getpid()))
         with executing("single", process.context) as executor:
             node = Node("bird", context=process.context, enable_rosout=False)
             executor.add_node(node)
             process.settle()
             names.append(node.get_node_names())
-            shared.append(segments(os.getpid()))
+            used.append(ports(os.getpid()))
+            assert not shared_memory(os.getpid())
 
     try:
         with own_domain() as domain:
@@ -98,7 +118,7 @@ def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
         for number, handler in before.items():
             signal.signal(number, handler)
     assert status == 0
-    at_first, in_the_end = shared
+    at_first, in_the_end = used
     assert at_first
     assert at_first <= in_the_end
     assert names == [["bird"]]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from builtin_interfaces.msg import Time as Stamp
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
@@ -24,11 +23,10 @@ from flock_sim.bag.topic import Topic
 from flock_sim.bag.writer import BagWriter
 from flock_sim.command_line import run_tool
 from flock_sim.core import topics
-from flock_tools import play
 from flock_tools.play import tool
 from flock_tools.play_topics import select
 from terminal import Terminal
-from visitor import Visitor, visiting
+from visitor import Visitor
 
 FLOCK = ("--birds", 3, "--t-max", 300, "--record-every", 2)
 PLAYER = "/flock/player"
@@ -265,22 +263,3 @@ def test_bad_input_is_refused_in_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert words in line
-
-
-@pytest.mark.parametrize("somebody", [True, False])
-def test_ports_are_cleared_away_only_where_nobody_stays_who_writes_to_them(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, somebody: bool
-) -> None:
-    # One that is taken away by its name deafens who gets its number next to whoever has it mapped.
-    bag = reference(terminal)
-    cleared: list[bool] = []
-    monkeypatch.setattr(play, "remove_orphans", lambda: cleared.append(True))
-    with visiting(terminal, monkeypatch) as visitor:
-        heard = listen(visitor, bag)
-        if not somebody:
-            visitor.close()
-            rclpy.try_shutdown(context=visitor.node.context)
-        assert tool([str(bag), "--rate", "0"]) == 0
-        assert cleared == ([] if somebody else [True])
-        if somebody:
-            visitor.until(lambda: all(heard.values()))

@@ -27,7 +27,7 @@ from flock_sim.nodes.bird import BirdNode
 from flock_sim.run import Run
 from flock_sim.testing import fly_in_process
 from flock_tools.dataset import load
-from terminal import left_of, segments
+from terminal import ports, shared_memory
 
 
 @pytest.fixture(autouse=True)
@@ -42,12 +42,14 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 class Watched(BirdNode):
     """A bird that takes note of what its process uses while it is there."""
 
-    segments: ClassVar[set[Path]] = set()
+    ports: ClassVar[set[int]] = set()
+    shared: ClassVar[set[str]] = set()
     domains: ClassVar[list[str]] = []
 
     def __init__(self, *arguments: object, **options: object) -> None:
         super().__init__(*arguments, **options)
-        Watched.segments |= segments(os.getpid())
+        Watched.ports |= ports(os.getpid())
+        Watched.shared |= shared_memory(os.getpid())
         Watched.domains.append(os.environ["ROS_DOMAIN_ID"])
 
 
@@ -79,20 +81,20 @@ def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypat
     monkeypatch.setenv("ROS_DOMAIN_ID", "142")  # none that a flight looks for
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
-    monkeypatch.setattr(Watched, "segments", set())
+    monkeypatch.setattr(Watched, "ports", set())
+    monkeypatch.setattr(Watched, "shared", set())
     monkeypatch.setattr(Watched, "domains", [])
     environment, threads = dict(os.environ), threading.active_count()
-    before = segments(os.getpid())
+    before = ports(os.getpid())
     flock = FlockConfiguration(birds=2, t_max=50.0)
     first = fly_in_process(flock, bird=Watched)
     second = fly_in_process(flock, bird=Watched)
     xr.testing.assert_identical(first, second)
     assert dict(os.environ) == environment
     assert threading.active_count() == threads
-    used = Watched.segments - before  # what others have opened in this process is theirs to close
-    assert used
-    assert left_of(used, set(map(int, Watched.domains))) == []
-    assert segments(os.getpid()) == before
+    assert Watched.ports > before  # what others have opened in this process is theirs to close
+    assert ports(os.getpid()) == before
+    assert not Watched.shared
     assert "142" not in Watched.domains
     assert list(temporary.iterdir()) == []
 

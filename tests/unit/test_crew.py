@@ -91,18 +91,13 @@ def test_one_that_fails_is_named_with_its_status(hands: Path) -> None:
             crew.join(30.0)
 
 
-def test_one_that_is_killed_is_named_with_the_signal(
-    hands: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    removed: list[int] = []
-    monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
+def test_one_that_is_killed_is_named_with_the_signal(hands: Path) -> None:
     with Crew({}) as crew:
         crew.start("the victim", "hand_waits", {})
         crew.check()
         os.kill(ready(hands, 1)[0], signal.SIGKILL)
         with pytest.raises(RunFailed, match=r"^the victim was killed by SIGKILL$"):
             crew.join(30.0)
-    assert removed == [1]
 
 
 def test_those_that_do_not_end_are_named_where_they_had_to(hands: Path) -> None:
@@ -164,14 +159,11 @@ def test_nobody_is_left_however_a_flight_ends(hands: Path, error: type[BaseExcep
 def test_who_does_not_heed_a_polite_word_is_killed(
     hands: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    removed: list[int] = []
-    monkeypatch.setattr(module, "remove_orphans", lambda: removed.append(1))
     monkeypatch.setattr(module, "GRACE", 0.1)
     with Crew({}) as crew:
         crew.start("one", "hand_deaf", {})
         (pid,) = ready(hands, 1)
     assert not lives(pid)
-    assert removed == [1]
 
 
 def test_one_that_is_stopped_is_ended_in_order(

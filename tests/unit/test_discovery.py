@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
 import socket
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from flock_sim.discovery import (
+    ELSEWHERE,
     PROFILES,
     TRANSPORTS,
     held_domain,
@@ -21,14 +23,13 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
     """An environment that says nothing, and is as it was before once the test has ended."""
-    for name in ("ROS_DOMAIN_ID", RANGE, *PROFILES, TRANSPORTS):
+    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", RANGE, *PROFILES, TRANSPORTS, *ELSEWHERE):
         monkeypatch.setenv(name, "")
 
 
 @pytest.mark.parametrize(
     ("network", "said", "reach"),
     [
-        (False, "", "LOCALHOST"),
         (True, "", "SUBNET"),
         (False, "SUBNET", "SUBNET"),
         (True, "SUBNET", "SUBNET"),
@@ -42,6 +43,45 @@ def test_others_are_looked_for_on_this_machine_unless_asked_otherwise(
     monkeypatch.setenv(RANGE, said)
     prepare_discovery(network)
     assert os.environ[RANGE] == reach
+    assert told() == {"network.xml"}
+
+
+def told():
+    """Which of our settings Fast DDS is told."""
+    return {Path(os.environ[name]).name for name in PROFILES}
+
+
+@pytest.mark.parametrize("said", ["", "LOCALHOST"])
+def test_fast_dds_is_told_to_stay_on_this_machine_as_ros_would_with_shared_memory(
+    monkeypatch, said
+):
+    monkeypatch.setenv(RANGE, said)
+    for _ in range(2):  # who is started by a tool of ours does the same once more
+        prepare_discovery()
+        assert os.environ[RANGE] == "SYSTEM_DEFAULT"
+        assert told() == {"machine.xml"}
+
+
+def test_who_is_started_by_a_tool_of_ours_may_be_asked_to_look_further():
+    prepare_discovery()
+    prepare_discovery(network=True)
+    assert os.environ[RANGE] == "SUBNET"
+    assert told() == {"network.xml"}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_named_hosts_are_left_to_ros(monkeypatch, name):
+    monkeypatch.setenv(name, "10.0.0.1")
+    prepare_discovery()
+    assert os.environ[RANGE] == "LOCALHOST"
+    assert told() == {"network.xml"}
+
+
+def test_another_middleware_is_told_the_range_and_nothing_else(monkeypatch):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    prepare_discovery()
+    assert os.environ[RANGE] == "LOCALHOST"
+    assert {os.environ[name] for name in PROFILES} == {""}
 
 
 @pytest.mark.parametrize("said", ["LOCALHOST", "OFF"])
@@ -54,17 +94,22 @@ def test_an_environment_that_is_against_the_network_is_not_overruled(monkeypatch
 DDS = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 
 
-def settings(kind, network):
-    """What Fast DDS is told of all readers or all writers."""
-    prepare_discovery(network)
+def all_settings():
     (file,) = {os.environ[name] for name in PROFILES}
-    (profile,) = ElementTree.parse(file).findall(f".//dds:{kind}", DDS)
+    return ElementTree.parse(file)
+
+
+def settings(kind, network):
+    """What Fast DDS is told of all participants, readers or writers."""
+    prepare_discovery(network)
+    (profile,) = all_settings().findall(f".//dds:{kind}", DDS)
     assert profile.get("is_default_profile") == "true"
     return profile
 
 
-def test_on_a_network_losses_are_repaired_soon():
-    writer = settings("data_writer", network=True)
+@pytest.mark.parametrize("network", [False, True])
+def test_losses_are_repaired_soon(network):
+    writer = settings("data_writer", network)
     period = writer.findtext("dds:times/dds:heartbeatPeriod/dds:nanosec", None, DDS)
     assert period is not None
     assert int(period) < 100e6  # Fast DDS would take 3 s
@@ -75,6 +120,16 @@ def test_no_queue_can_be_full(network):
     (limits,) = settings("data_reader", network).findall("dds:topic/dds:resourceLimitsQos", DDS)
     assert {limit.text for limit in limits} == {"0"}  # to Fast DDS, none
     assert len(limits) == 3
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_there_is_no_shared_memory(network):
+    participant = settings("participant", network)
+    assert participant.findtext("dds:rtps/dds:useBuiltinTransports", None, DDS) == "false"
+    (used,) = participant.findall("dds:rtps/dds:userTransports/dds:transport_id", DDS)
+    (described,) = all_settings().findall(".//dds:transport_descriptor", DDS)
+    assert described.findtext("dds:transport_id", None, DDS) == used.text
+    assert described.findtext("dds:type", None, DDS) == "UDPv4"
 
 
 @pytest.mark.parametrize("name", [*PROFILES, TRANSPORTS])
@@ -129,11 +184,10 @@ def test_a_domain_is_held_by_one_at_a_time():
         assert again == 90
 
 
-def test_domains_on_which_somebody_talks_are_passed_over_and_the_first_is_another_each_time():
+def test_domains_on_which_somebody_talks_are_passed_over():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as talk:
         domain = quiet_domains()[-1]
         talk.bind(("127.0.0.1", 7400 + 250 * domain + 240))
-        quiet = [quiet_domains(), quiet_domains()]
-    assert all(domain not in domains for domains in quiet)
-    assert quiet[0][0] != quiet[1][0]
-    assert 0 not in quiet[0]
+        quiet = quiet_domains()
+    assert domain not in quiet
+    assert 0 not in quiet

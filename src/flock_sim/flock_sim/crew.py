@@ -16,7 +16,6 @@ from types import TracebackType
 from flock_sim import configuration_file
 from flock_sim.command_line import note
 from flock_sim.errors import RunFailed
-from flock_sim.shared_memory import remove_orphans
 
 SUPERVISED = "FLOCK_SUPERVISED"
 """Holds their parent's id in the environment of the processes of a crew."""
@@ -141,7 +140,6 @@ class Crew:
         for file in {file for hand in self._hands for file in hand.parameters}:
             os.close(file)
         self._hands.clear()
-        remove_orphans()
 
     def __enter__(self) -> Crew:
         return self

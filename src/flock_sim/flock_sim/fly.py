@@ -36,7 +36,6 @@ from flock_sim.progress import progress_bar
 from flock_sim.recording import lay_down
 from flock_sim.report import add_output_options, output_directory, report
 from flock_sim.resume import Resumable, resumable
-from flock_sim.shared_memory import remove_orphans
 from flock_sim.shares import shares
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.times import Times
@@ -98,7 +97,6 @@ def tool(arguments: Sequence[str]) -> int:
     plan = _plan(options, resumed)
     if resumed and resumed.complete:
         note(f"{options.resume} is complete: nothing to go on with")
-        remove_orphans()  # who was killed in the last moment has left its own, too
         how = dict.fromkeys(("steps_per_second", "start_seconds", "wall_seconds"), 0.0)
         counts = dict.fromkeys(("steps_flown_again", "rewinds", "restarts"), 0)
         flight = {**how, **counts, "output": str(options.resume)}
@@ -284,7 +282,6 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
     from flock_sim.nodes.parameters import declare
     from flock_sim.nodes.patience import Patience
     from flock_sim.nodes.process import executing, ros_context
-    from flock_sim.nodes.turn import turn
 
     configuration = plan.configuration
     keeper = Timekeeper(
@@ -311,8 +308,7 @@ def _keep_time(plan: Plan, run_id: int, crew: Crew) -> dict[str, Any]:
                 crew.check(furthest)
 
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
-            with turn():
-                clock = ClockNode(keeper, depth, context=context)
+            clock = ClockNode(keeper, depth, context=context)
             operation = {**vars(plan), "run_id": run_id, "record": plan.output is not None}
             declare(clock, configuration, operation, OWN)
             executor.add_node(clock)

@@ -35,9 +35,7 @@ from flock_sim.nodes.clock import ClockNode, first_epoch, keep_time
 from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import executing, ros_context
 from flock_sim.nodes.recorder import RecorderNode, record
-from flock_sim.nodes.turn import turn
 from flock_sim.recording import Recording, recording
-from flock_sim.shared_memory import remove_orphans
 from flock_sim.stop import Stop
 
 if TYPE_CHECKING:
@@ -109,7 +107,6 @@ def ros_alone() -> Iterator[Context]:
                 yield context
             finally:
                 rclpy.try_shutdown(context=context)
-                remove_orphans()
     finally:
         for name, value in before.items():
             if value is None:
@@ -134,8 +131,7 @@ def _fly(
             held.enter_context(executing(EXECUTORS[0], context)) for _ in range(3)
         )
         depth = topics.depth(topics.CLOCK_TOPIC, configuration)
-        with turn():
-            clock = ClockNode(keeper, depth, context=context)
+        clock = ClockNode(keeper, depth, context=context)
         of_clock.add_node(clock)
         recorder = RecorderNode(configuration, run, run_id, False, context=context)
         of_recorder.add_node(recorder)

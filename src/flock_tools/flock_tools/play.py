@@ -20,10 +20,9 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.command_line import LONGEST, Parser, note, positive_number, print_json, run_tool
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
-from flock_sim.nodes.process import destroy, executing, is_alone, ros_context
-from flock_sim.nodes.turn import turn
+from flock_sim.nodes.departure import stop_discovery
+from flock_sim.nodes.process import executing, ros_context
 from flock_sim.progress import playback_bar
-from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
 from flock_tools.keyboard import DOWN, QUIT, RIGHT, SPACE, UP, keyboard
@@ -79,7 +78,7 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print what was played as JSON")
     options = parser.parse_args(arguments)
     rate = _not_negative("--rate", options.rate)
-    prepare_discovery(options.network, here="player.xml")
+    prepare_discovery(options.network)
     stop = Stop(heed_interrupt=True)
     with BagReader(options.run) as bag:
         if bag.missing:
@@ -166,25 +165,21 @@ def _extract(
 def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and what has its services served from then on, in another thread."""
     context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
-    alone = True
     try:
         with executing("single", context) as executor:
-            with turn():
-                player = Player(selection.topics, context)
+            player = Player(selection.topics, context)
             executor.add_node(player)
             thread = Thread(target=executor.spin, daemon=True)
             try:
                 yield player, thread.start
             finally:
-                alone = is_alone(player)
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
-                destroy(player)  # the executor, shut down, knows it no more
+                stop_discovery(context)
+                player.destroy_node()  # the executor, shut down, knows it no more
     finally:
         rclpy.try_shutdown(context=context)
-        if alone:  # else who stays would have our port mapped, and not hear who gets it next
-            remove_orphans()
 
 
 def _run(playback: Playback, span: tuple[int, int], stop: Stop) -> None:

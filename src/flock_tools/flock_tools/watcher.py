@@ -21,8 +21,6 @@ from flock_sim.discovery import DOMAIN
 from flock_sim.errors import RunFailed
 from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.process import executing, ros_context
-from flock_sim.nodes.turn import turn
-from flock_sim.shared_memory import remove_orphans
 from flock_sim.stop import Stop
 from flock_tools.watch_view import Sample, View
 
@@ -90,20 +88,13 @@ class Watcher(Node):
 def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Executor]]:
     """Give the node that `make` makes, and its executor; at the end both are gone."""
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
-    alone = True
     try:
         with executing("single", context) as executor:
-            with turn():
-                watcher = make(context)
+            watcher = make(context)
             executor.add_node(watcher)
-            try:
-                yield watcher, executor
-            finally:
-                alone = not watcher.birds
+            yield watcher, executor
     finally:
         rclpy.try_shutdown(context=context)
-        if alone:  # else a bird may have our port mapped, and whoever gets it next be deaf to it
-            remove_orphans()
 
 
 def first_sample(

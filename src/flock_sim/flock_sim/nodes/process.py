@@ -9,9 +9,8 @@ import os
 import secrets
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,9 +29,8 @@ from flock_sim.crew import SUPERVISED
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
+from flock_sim.nodes.departure import stop_discovery
 from flock_sim.nodes.patience import Patience
-from flock_sim.nodes.turn import turn
-from flock_sim.shared_memory import remove_orphans
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
 
@@ -58,9 +56,6 @@ OPERATION: dict[str, Any] = {
 OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 PR_SET_PDEATHSIG = 1
-
-CALM = 0.02
-"""Time, in s, in which we will have heard all that who had the turn before us had to say."""
 
 
 @dataclass(frozen=True)
@@ -90,21 +85,11 @@ def executing(kind: str, context: Context) -> Iterator[Executor]:
     try:
         yield executor
     finally:
-        nodes = list(executor.get_nodes())
-        for node in nodes:
+        stop_discovery(context)
+        for node in executor.get_nodes():
             executor.remove_node(node)
-        destroy(*nodes)
-        executor.shutdown()
-
-
-def destroy(*nodes: Node) -> None:
-    """Destroy `nodes`; the last of a process ends its participant, which takes a turn."""
-    if not nodes:
-        return
-    with turn():
-        time.sleep(CALM)
-        for node in nodes:
             node.destroy_node()
+        executor.shutdown()
 
 
 def make_executor(kind: str, context: Context) -> Executor:
@@ -133,11 +118,6 @@ def ros_context(arguments: Sequence[str]) -> Context:
     return context
 
 
-def is_alone(node: Node) -> bool:
-    """Whether no other node is known on the domain of `node`."""
-    return len(node.get_node_names()) <= 1
-
-
 def run_node(
     name: str, description: str, examples: str, work: Callable[[Process], None]
 ) -> Callable[[Sequence[str] | None], int]:
@@ -161,14 +141,14 @@ def run_node(
         with results_only_on_stdout():
             context = ros_context(arguments)
             try:
-                with ExitStack() as reader:
-                    configuration, operation = _parameters(name, context, reader)
+                with _reader(name, context) as reader:
+                    configuration, operation = _parameters(reader)
                     if options.timeout is not None:
                         operation["timeout"] = positive_number("--timeout", options.timeout)
-                    work(Process(configuration, operation, context, stop, supervised, reader.close))
+                    settle = reader.destroy_node
+                    work(Process(configuration, operation, context, stop, supervised, settle))
             finally:
                 rclpy.try_shutdown(context=context)
-                remove_orphans()
         return stop.exit_status
 
     def main(arguments: Sequence[str] | None = None) -> int:
@@ -202,25 +182,30 @@ def _follow_parent() -> None:
             raise FlockError("the process that started this one is gone; start the flight again")
 
 
-def _parameters(
-    name: str, context: Context, reader: ExitStack
-) -> tuple[FlockConfiguration, dict[str, Any]]:
-    """Return what was flown and how, from the ROS parameters given to this process.
+@contextmanager
+def _reader(name: str, context: Context) -> Iterator[Node]:
+    """Give a node that has the parameters given to this process.
 
-    They are read by a node of their own, before the real one: its name depends on them. It is there
-    until `reader` is closed.
+    The real one, which comes after it, is named by what they say.
     """
-    with turn():
-        node = Node(
-            f"{name}_parameters",
-            namespace="/flock",
-            context=context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            automatically_declare_parameters_from_overrides=True,
-        )
-    reader.callback(destroy, node)
-    given = {key: p.value for key, p in node.get_parameters_by_prefix("").items()}
+    reader = Node(
+        f"{name}_parameters",
+        namespace="/flock",
+        context=context,
+        start_parameter_services=False,
+        enable_rosout=False,
+        automatically_declare_parameters_from_overrides=True,
+    )
+    try:
+        yield reader
+    finally:
+        stop_discovery(context)
+        reader.destroy_node()  # once more, where it has gone already, does nothing
+
+
+def _parameters(reader: Node) -> tuple[FlockConfiguration, dict[str, Any]]:
+    """Return what was flown and how, from the ROS parameters that `reader` has."""
+    given = {key: p.value for key, p in reader.get_parameters_by_prefix("").items()}
     operation = dict(OPERATION)
     flown = {}
     for key, value in given.items():
