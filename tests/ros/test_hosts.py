@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from flock_sim.discovery import TRANSPORTS
 from hosts import Host, Traffic, Weather, joined_hosts, unavailable
 from terminal import Job, Terminal
 
@@ -19,6 +20,9 @@ STEPS = 20
 
 CLEAR = Weather()
 ROUGH = Weather(loss=0.05, delay=(0.010, 0.030))
+
+OF_OTHERS = {TRANSPORTS: "UDPv4"}
+"""What others are told, who would use shared memory else: hosts have that in common here."""
 
 FEW = 4
 """How many processes of a host that is named Fast DDS looks for, unless it is told to look on."""
@@ -99,7 +103,7 @@ def other_nodes(terminal: Terminal, host: Host) -> Iterator[None]:
     command = [sys.executable, "-P", "-c", OTHER_NODES, str(FEW)]
     with subprocess.Popen(
         [*host.enter(terminal.directory), *command],
-        env=terminal.environment,
+        env={**terminal.environment, **OF_OTHERS},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     ) as crowd:
@@ -118,7 +122,7 @@ def discovery_server(terminal: Terminal, host: Host) -> Iterator[None]:
     command = [str(found), "--server-id", "0", "--udp-address", host.address]
     with subprocess.Popen(
         [*host.enter(terminal.directory), *command],
-        env=terminal.environment,
+        env={**terminal.environment, **OF_OTHERS},
         stdout=subprocess.DEVNULL,
     ) as server:
         try:
