@@ -19,7 +19,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -32,6 +32,9 @@ from terminal import Job, Terminal, open_terminal
 BIRDS = 4
 EVERY = 10
 FLOCK = ("--birds", BIRDS, "--record-every", EVERY, "--span-ratio", "2=0.97,1.03")
+LENGTHS = (6000, 20000, 40000)
+"""Steps of a flight."""
+
 LIMIT = 240.0
 """Time, in s, within which a flight ends however often it is hit."""
 
@@ -126,13 +129,14 @@ def torture(
     seed: int,
     kills: int,
     per_flight: int = 12,
+    lengths: Sequence[int] = LENGTHS,
     say: Callable[[str], None] = print,
 ) -> Toll:
     """Fly until `kills` processes were killed; check every bag against the reference's."""
     random = Random(seed)
     toll = Toll()
     for flight in itertools.count():
-        steps = random.choice([6000, 20000, 40000])
+        steps = random.choice(lengths)
         bag = f"flight-{flight}"
         executioner = Executioner(random, min(per_flight, kills - toll.killed))
         fly = by_hand if flight % 2 else composed
