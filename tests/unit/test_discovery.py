@@ -123,6 +123,16 @@ def test_no_queue_can_be_full(network):
 
 
 @pytest.mark.parametrize("network", [False, True])
+def test_who_starts_says_so_often_at_first(network):
+    place = "dds:rtps/dds:builtin/dds:discovery_config/dds:initialAnnouncements"
+    announcements = settings("participant", network).find(place, DDS)
+    period = float(announcements.findtext("dds:period/dds:nanosec", None, DDS)) / 1e9
+    count = int(announcements.findtext("dds:count", None, DDS))
+    assert period < 0.5  # Fast DDS would take 3 s after half a second
+    assert count * period > 3.0
+
+
+@pytest.mark.parametrize("network", [False, True])
 def test_there_is_no_shared_memory(network):
     participant = settings("participant", network)
     assert participant.findtext("dds:rtps/dds:useBuiltinTransports", None, DDS) == "false"
