@@ -18,6 +18,7 @@ import numpy as np
 
 from flock_interfaces.msg import BirdStage
 from flock_sim.core import formation, messages, topics
+from flock_sim.discovery import prepare_discovery
 from flock_sim.nodes.endpoints import DrainedNode, latched
 from flock_sim.nodes.process import executing, ros_context
 
@@ -84,6 +85,7 @@ def main() -> None:
     """Relay with the birds FIRST..LAST in this process."""
     kind = sys.argv[1]
     birds, steps, first, last = (int(word) for word in sys.argv[2:])
+    prepare_discovery()
     context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     with executing("events", context) as executor:
         nodes = [

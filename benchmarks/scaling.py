@@ -3,7 +3,7 @@
 
 All are run in turn, round after round, as in run.py; the table gives medians. Memory is the
 proportional set size of the birds' processes; discovery is what goes over the loopback device until
-the end of a flight of one step, with DDS on UDP alone.
+the end of a flight of one step.
 """
 
 from __future__ import annotations
@@ -84,9 +84,8 @@ def discovery(birds: int, processes: int) -> tuple[int, int]:
     """Return bytes and packets over the loopback device in a flight of one step."""
     command = [sys.executable, "-P", "-m", "flock_sim.fly", "--json", "--no-record"]
     command += ["--birds", str(birds), "--processes", str(processes), "--t-max", "1"]
-    environment = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     before = loopback()
-    subprocess.run(command, stdout=subprocess.DEVNULL, env=environment, timeout=LIMIT, check=True)
+    subprocess.run(command, stdout=subprocess.DEVNULL, timeout=LIMIT, check=True)
     after = loopback()
     return after[0] - before[0], after[1] - before[1]
 
