@@ -281,6 +281,12 @@ def own_domain() -> Iterator[int]:
 
 def ports(pid: int) -> set[int]:
     """Return the ports of ROS domains on which a process listens."""
+    all_domains = range(FIRST_PORT, FIRST_PORT + PORTS * (LAST_DOMAIN + 1))
+    return {port for _, port in sockets(pid) if port in all_domains}
+
+
+def sockets(pid: int) -> set[tuple[str, int]]:
+    """Return address and port of each UDP socket that a process has."""
     links, table = set(), ""
     with suppress(OSError):  # it may have ended
         for link in Path(f"/proc/{pid}/fd").iterdir():
@@ -291,8 +297,10 @@ def ports(pid: int) -> set[int]:
     for line in table.splitlines()[1:]:
         _, local, _, _, _, _, _, _, _, inode, *_ = line.split()
         if f"socket:[{inode}]" in links:
-            found.add(int(local.partition(":")[2], 16))
-    return found & set(range(FIRST_PORT, FIRST_PORT + PORTS * (LAST_DOMAIN + 1)))
+            address, _, port = local.partition(":")
+            native = int(address, 16).to_bytes(4, sys.byteorder)
+            found.add((socket.inet_ntoa(native), int(port, 16)))
+    return found
 
 
 def shared_memory(pid: int) -> set[str]:

@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from flock_sim.discovery import PROFILES, prepare_discovery
-from flock_sim.nodes.departure import stop_discovery
+from flock_sim.nodes.departure import leave
 from flock_sim.nodes.endpoints import latched
 from flock_sim.nodes.process import ros_context
 from terminal import Terminal, ports
@@ -41,8 +41,7 @@ class Visitor:
     def close(self) -> None:
         """Leave."""
         self._executor.shutdown()
-        stop_discovery(self.node.context)
-        self.node.destroy_node()
+        leave(self.node.context, [self.node])
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Serve the node until `condition` is true, and return what it gave."""

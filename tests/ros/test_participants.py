@@ -16,7 +16,7 @@ from rclpy.node import Node
 from flock_sim.nodes import departure
 from flock_sim.nodes.departure import stop_discovery
 from flock_sim.nodes.process import Process, executing, ros_context, run_node
-from terminal import own_domain, ports, shared_memory
+from terminal import own_domain, ports, shared_memory, sockets
 from visitor import tell_fast_dds
 
 DEADLINE = 60.0
@@ -71,9 +71,7 @@ def test_an_executor_leaves_before_its_nodes_end(
             order.append("node")
             super().destroy_node()
 
-    monkeypatch.setattr(
-        "flock_sim.nodes.process.stop_discovery", lambda context: order.append("discovery")
-    )
+    monkeypatch.setattr(departure, "stop_discovery", lambda context: order.append("discovery"))
     with executing("events", context) as executor:
         for name in ("one", "two"):
             executor.add_node(Watched(name, context=context))
@@ -108,6 +106,7 @@ def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
             names.append(node.get_node_names())
             used.append(ports(os.getpid()))
             assert not shared_memory(os.getpid())
+            assert {address for address, _ in sockets(os.getpid())} == {"127.0.0.1"}
 
     try:
         with own_domain() as domain:

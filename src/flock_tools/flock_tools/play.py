@@ -20,7 +20,7 @@ from flock_sim.bag.reader import BagReader
 from flock_sim.command_line import LONGEST, Parser, note, positive_number, print_json, run_tool
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
-from flock_sim.nodes.departure import stop_discovery
+from flock_sim.nodes.departure import leave
 from flock_sim.nodes.process import executing, ros_context
 from flock_sim.progress import playback_bar
 from flock_sim.standard_output import results_only_on_stdout
@@ -176,8 +176,7 @@ def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]
                 executor.shutdown()
                 if thread.ident is not None:
                     thread.join()
-                stop_discovery(context)
-                player.destroy_node()  # the executor, shut down, knows it no more
+                leave(context, [player])  # the executor, shut down, knows it no more
     finally:
         rclpy.try_shutdown(context=context)
 

@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 from rclpy.context import Context
+from rclpy.node import Node
 
 LIMIT = 10
 """Time, in s, in which the other thread will be done; it takes some microseconds."""
@@ -42,6 +44,13 @@ class _Vector(ctypes.Structure):
         ("end", ctypes.c_void_p),
         ("capacity", ctypes.c_void_p),
     )
+
+
+def leave(context: Context, nodes: Iterable[Node]) -> None:
+    """Destroy `nodes` of `context`, among them the last that its process has on this domain."""
+    stop_discovery(context)
+    for node in nodes:
+        node.destroy_node()
 
 
 def stop_discovery(context: Context) -> None:

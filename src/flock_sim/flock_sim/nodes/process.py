@@ -29,7 +29,7 @@ from flock_sim.crew import SUPERVISED
 from flock_sim.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.errors import FlockError
 from flock_sim.nodes import EXECUTORS
-from flock_sim.nodes.departure import stop_discovery
+from flock_sim.nodes.departure import leave
 from flock_sim.nodes.patience import Patience
 from flock_sim.standard_output import results_only_on_stdout
 from flock_sim.stop import Stop
@@ -85,10 +85,10 @@ def executing(kind: str, context: Context) -> Iterator[Executor]:
     try:
         yield executor
     finally:
-        stop_discovery(context)
-        for node in executor.get_nodes():
+        nodes = executor.get_nodes()
+        for node in nodes:
             executor.remove_node(node)
-            node.destroy_node()
+        leave(context, nodes)
         executor.shutdown()
 
 
@@ -199,8 +199,7 @@ def _reader(name: str, context: Context) -> Iterator[Node]:
     try:
         yield reader
     finally:
-        stop_discovery(context)
-        reader.destroy_node()  # once more, where it has gone already, does nothing
+        leave(context, [reader])  # which does nothing to it where it has gone already
 
 
 def _parameters(reader: Node) -> tuple[FlockConfiguration, dict[str, Any]]:
