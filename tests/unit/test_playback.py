@@ -74,9 +74,13 @@ class Stage:
 
     def __init__(self, *, rate: float = 0.0, paused: bool = False, loop: bool = False) -> None:
         self.heard: list[int] = []
+        self.met: list[int] = []
         schedule = Schedule(ORIGIN, rate, paused=paused)
         span = (ORIGIN, ORIGIN + 9 * SECOND)
-        self.playback = Playback(self.read, self.publish, schedule, span, loop=loop)
+        self.playback = Playback(self.read, self.publish, schedule, span, meet=self.meet, loop=loop)
+
+    def meet(self) -> None:
+        self.met.append(len(self.heard))
 
     def read(self, at: int | None) -> Iterator[Recorded]:
         for k in range(10):
@@ -102,6 +106,35 @@ def test_a_loop_begins_again_until_it_is_stopped() -> None:
     stage = Stage(loop=True)
     stage.playback.run()
     assert stage.heard == [*range(10), *range(10), *range(5)]
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_who_listens_is_met_once_before_time_goes_on(paused: bool) -> None:
+    stage = Stage(paused=paused, loop=True)
+    play = stage.playback
+    if paused:
+        play.ask(play.play_next)
+        play.ask(play.schedule.resume)
+    play.run()
+    assert stage.met == [1 if paused else 0]
+    assert stage.heard == [*range(10), *range(10), *range(5)]
+
+
+def test_recorded_time_stands_still_while_who_listens_is_met() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1.0, now=clock)
+
+    def meet() -> None:
+        clock.time += 100.0
+
+    def publish(topic: str, data: bytes) -> None:
+        assert schedule.position == ORIGIN
+        play.stop()
+
+    messages = [("/topic", ORIGIN, b"")]
+    play = Playback(lambda _: iter(messages), publish, schedule, (ORIGIN, ORIGIN), meet=meet)
+    play.run()
+    assert play.played.total() == 1
 
 
 def test_in_a_pause_messages_are_played_one_by_one_and_can_be_sought() -> None:

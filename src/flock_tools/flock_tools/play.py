@@ -109,6 +109,7 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
             player.say_when_heard if rate == 0.0 else player.say,
             schedule,
             span,
+            meet=lambda: player.meet(stop),
             begin=begin,
             loop=options.loop,
         )
@@ -119,8 +120,6 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
             )
         player.serve(playback)
         spin()
-        if not options.paused:
-            player.meet(stop)
         gc.freeze()  # nothing of what is here by now is looked through again, for milliseconds
         try:
             schedule.jump(span[0] + start)

@@ -35,23 +35,25 @@ class Playback:
         schedule: Schedule,
         span: tuple[int, int],
         *,
+        meet: Callable[[], None] = lambda: None,
         begin: int | None = None,
         loop: bool = False,
     ) -> None:
         """Play what `read` yields from recorded time `begin` on, in ns; None: from the first one.
 
-        `span` are the first and the last recorded time that can be sought. `loop`: begin again at
-        the end.
+        `span` are the first and the last recorded time that can be sought. `meet` waits for those
+        who listen, before time goes on for the first time. `loop`: begin again at the end.
         """
         self.schedule = schedule
         self.played: Counter[str] = Counter()
         """How many messages were published, by topic."""
         self._read = read
         self._publish = publish
+        self._meet = meet
         self._span = span
         self._begin = begin
         self._loop = loop
-        self._stopped = self._over = False
+        self._met = self._stopped = self._over = False
         self._inbox: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._source = read(begin)
         self._upcoming = next(self._source, None)
@@ -128,6 +130,9 @@ class Playback:
             if time.monotonic() >= look_at:
                 look()
                 look_at = time.monotonic() + LOOK_EVERY
+            if not self._met and not self.schedule.paused:
+                self._go()
+                continue
             if self._upcoming is None and not self.schedule.paused:
                 if not self._loop:
                     break
@@ -139,6 +144,13 @@ class Playback:
                 self._serve(0.0)
             else:
                 self._play()
+
+    def _go(self) -> None:
+        """Meet those who listen; recorded time stands still meanwhile."""
+        position = self.schedule.position
+        self._meet()
+        self.schedule.jump(position)
+        self._met = True
 
     def _play(self) -> bool:
         if self._upcoming is None:

@@ -37,9 +37,10 @@ AT_ONCE = 256
 MEET_EVERY = 0.02
 """Time, in s, between two looks whether all who listen are connected."""
 
-FOUND, NOBODY = 0.5, 3.5
-"""Time, in s, without news of more listeners after which those who were there are all known: when
-there are some, and when there are none. Who is there already makes itself known every 3 s."""
+NEWS, NOBODY = 0.5, 3.5
+"""Time, in s, without news of more listeners after which those who were there are all known, and
+from the start of the player on, after which there are none. Who knows the player is known to it a
+tenth of a second later; who is there already makes itself known every 3 s."""
 
 SERVED_WITHIN = 10.0
 """Time, in s, within which the playback answers a service: it may be publishing just then."""
@@ -67,6 +68,7 @@ class Player(Node):
             if topic.qos.reliability == ReliabilityPolicy.RELIABLE
         }
         self._unheard: Counter[str] = Counter()
+        self._made = time.monotonic()
 
     def say(self, topic: str, data: bytes) -> None:
         """Publish recorded bytes."""
@@ -99,7 +101,7 @@ class Player(Node):
             listeners = sum(outlet.get_subscription_count() for outlet in self._outlets.values())
             if listeners != known or not self._met():
                 known, changed = listeners, now
-            elif now - changed > (FOUND if known else NOBODY):
+            elif now > max(changed + NEWS, 0.0 if known else self._made + NOBODY):
                 return
             time.sleep(MEET_EVERY)
 
