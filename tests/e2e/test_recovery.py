@@ -18,7 +18,7 @@ from torture import torture
 BIRD = "flock_sim.nodes.bird"
 RECORDER = "flock_sim.nodes.recorder"
 
-STEPS = 6000
+STEPS = 12_000
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10, "--span-ratio", "2=0.97,1.03")
 
 
@@ -95,7 +95,7 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
         job.until(lambda: len(job.workers(BIRD)) == 2)
         job.workers(BIRD)
     else:
-        job.until(lambda: last_step(bag) >= (10 if moment == "flying" else STEPS - 800))
+        job.until(lambda: last_step(bag) >= (10 if moment == "flying" else STEPS - 2000))
     os.killpg(job.process.pid, signal.SIGKILL)
     job.wait()
     on_disk = last_step(bag)
