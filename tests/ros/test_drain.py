@@ -90,7 +90,7 @@ def test_the_executor_does_not_wait_while_messages_come(monkeypatch: pytest.Monk
     assert executor.waits == 0
 
 
-@pytest.mark.parametrize("birds", [drain.TOGETHER + 1, 2 * drain.TOGETHER + 45])
+@pytest.mark.parametrize("birds", [drain.GROUP + 1, 301])
 def test_of_many_birds_each_gets_far_at_a_turn(birds: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drain, "RARELY", 1)  # each turn is counted
     chain: list[Link] = []

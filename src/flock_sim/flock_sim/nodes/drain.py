@@ -18,11 +18,8 @@ from flock_sim.nodes.process import Stop
 SWEEPS = 16
 """Sweeps over a group of birds before the next one has its turn, and looks for leave after all."""
 
-TOGETHER = 128
-"""So many birds of a process fly as one group: all of them at the same stage, in turn."""
-
 GROUP = 32
-"""Of more than that, so many are in a group."""
+"""So many birds of a process take their turns together, before others have theirs."""
 
 RARELY = 16
 """One in so many turns also looks for what comes rarely, bird by bird. Where many processes share
@@ -134,7 +131,7 @@ def _groups(birds: Sequence[Flier]) -> list[Sequence[Flier]]:
     before they have to wait for others. That is what few have to do at a time, and the processor's
     caches hold what they need. Groups are shifted by half in between: edges become middles.
     """
-    if len(birds) <= TOGETHER:
+    if len(birds) <= GROUP:
         return [birds]
     return [
         birds[max(0, first) : first + GROUP]
