@@ -15,6 +15,7 @@ from flock_sim.core.messages import Checkpoint, Grant, Wing
 from flock_sim.core.monolith import Monolith
 from flock_sim.core.protocol import BirdProtocol, Channel
 from flock_sim.core.stability import eigenvalues
+from flock_sim.nodes.exchange import available, exchange
 
 
 def warm() -> None:
@@ -52,6 +53,14 @@ def warm_links() -> None:
     Latest(1, (2,), configuration).known(0, 0)
 
 
+def warm_exchange() -> None:
+    """Do the same with the exchange of stages, without any message."""
+    leg = BirdProtocol(1, FlockConfiguration(birds=2)).leg()
+    if leg is not None and available():
+        leg.begin(tick=0, end=1, run_id=1, epoch=1, lacking=(set(), set()))
+        exchange(leg.words, 1.0, False)
+
+
 def warm_steady_states() -> None:
     """Do the same with what is known of flocks without flying them."""
     for coupling in COUPLINGS:
@@ -63,4 +72,5 @@ def warm_steady_states() -> None:
 if __name__ == "__main__":
     warm()
     warm_links()
+    warm_exchange()
     warm_steady_states()

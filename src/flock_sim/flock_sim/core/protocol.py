@@ -32,6 +32,7 @@ from flock_sim.core.bird_step import (
 )
 from flock_sim.core.configuration import FlockConfiguration
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.leg import Leg
 from flock_sim.core.links.receiver import Receiver
 from flock_sim.core.listener import Listener
 from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, Wing
@@ -149,7 +150,8 @@ class BirdProtocol(Listener):
         self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
         self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
-        self._outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
+        self.outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
+        """Its last two stage messages: at even ticks and at odd ones."""
         self._work = np.zeros((WORK_ROWS, members))
         if stage_kernel is not None:
             self._feel_and_move = stage_kernel
@@ -257,6 +259,57 @@ class BirdProtocol(Listener):
         if self._granted < 0:
             return []  # there is no run yet to report to
         return [self._progress(self._reached), *self._said]
+
+    def leg(self) -> Leg | None:
+        """Return a leg for this bird; None if it does more at a stage than to exchange it."""
+        inbox = self._inbox
+        plain = self._feel_and_move is feel_and_move and inbox.every_tick
+        if self._receiver or self._steering or not plain:
+            return None
+        arrays = (self._own, self._around.geometry, inbox.heard, self._mine, self._work)
+        return Leg(self.bird, self._around.birds, self._members, arrays)
+
+    def embark(self, leg: Leg) -> bool:
+        """Leave the stages up to the next step with more to do to `leg`; False if there are none.
+
+        Until it lands, the bird itself knows nothing of what is flown, and is not to be asked.
+        """
+        if self.released or self._held or not self._flying:
+            return False
+        end = STAGES * self._next_event()
+        if self._tick >= end:
+            return False
+        leg.begin(self._tick, end, self.run_id, self._epoch, self._inbox.lacking_by_side)
+        return True
+
+    def land(self, leg: Leg) -> list[Outgoing]:
+        """Go on by itself from where `leg` is."""
+        for _ in range(leg.foreign):
+            self.ignore(FOREIGN)
+        inbox, tick = self._inbox, leg.tick
+        if tick > self._tick:
+            self._reached = max(self._reached, (tick - 1) // STAGES)
+            self._said.append(self._said_at(tick - 1))
+        if leg.over:
+            self._tick = tick - 1
+            inbox.go_to(self._tick, leg.lacking)
+            out = self._turn()
+            return out if inbox.lacking else out + self._advance()
+        if tick > self._tick:
+            self._said.append(self._said_at(tick))
+        self._tick = tick
+        inbox.go_to(tick, leg.lacking)
+        return []
+
+    def _said_at(self, tick: int) -> Outgoing:
+        """Return what was said at one of the last two ticks."""
+        return Channel.STAGE, bytes(self.outbox[tick & 1])
+
+    def _next_event(self) -> int:
+        """Return the next step at whose beginning there is more to do than to exchange a stage."""
+        step, every = -(-self._tick // STAGES), self._configuration.record_every
+        events = [self._granted, -(-step // every) * every, self._report_at, *self._pushes]
+        return min(event for event in events if event >= step)
 
     def _agree(self, grant: Grant) -> None:
         """Raise FlockError where the clock flies something else."""
@@ -374,11 +427,11 @@ class BirdProtocol(Listener):
     def _stage(self) -> Outgoing:
         """Return the message with this tick's values."""
         step, stage = divmod(self._tick, STAGES)
-        side = self._outbox[self._tick & 1]
+        side = self.outbox[self._tick & 1]
         HEADER.pack_into(
             side, HEADER_AT, self.run_id, step, self._epoch, self.bird, stage, self._members
         )
-        said = Channel.STAGE, bytes(side)
+        said = self._said_at(self._tick)
         self._said.append(said)
         return said
 
@@ -403,12 +456,15 @@ class BirdProtocol(Listener):
                 self._held = step >= self._granted
                 if self._held:
                     break
-            self._tick = tick = tick + 1
-            if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
-                begin(self._own, self._mine, self._work)
-            if inbox.turn(tick):
-                out.append(self._stage())
+            out += self._turn()
         return out
+
+    def _turn(self) -> list[Outgoing]:
+        """Go on to the next tick, whose values are computed; return what is sent at it."""
+        self._tick = tick = self._tick + 1
+        if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
+            begin(self._own, self._mine, self._work)
+        return [self._stage()] if self._inbox.turn(tick) else []
 
     def _listen(self, heard: FloatArray) -> FloatArray:
         """Return what is known of the neighbours at this tick, after steering by it."""

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flock_sim.core.kernel import FloatArray
+from flock_sim.core.leg import Lacking
 from flock_sim.core.links.timetable import Timetable
 from flock_sim.core.runge_kutta import STAGES
 from flock_sim.core.stage_message import (
@@ -57,7 +58,8 @@ class StageInbox:
     ) -> None:
         """Be closed: stages come in once an epoch is open. `run_id` 0: not known yet."""
         self._timetable = timetable or Timetable()
-        self._every_tick = self._timetable.every_tick
+        self.every_tick = self._timetable.every_tick
+        """Whether stages are exchanged at every tick."""
         self.side = 0
         """The place in `heard` of this exchange; between two, of the one before."""
         self.heard: FloatArray = np.zeros((2, len(neighbours), stage_words(members)))
@@ -110,7 +112,7 @@ class StageInbox:
         """
         self._at_start = False
         following = tick + 1
-        if not self._every_tick:
+        if not self.every_tick:
             if not self._timetable.due(tick):
                 return False
             following = self._timetable.after(tick)
@@ -119,6 +121,22 @@ class StageInbox:
         self._next = self._expected(following)
         self.side = 1 - self.side
         return True
+
+    @property
+    def lacking_by_side(self) -> Lacking:
+        """The neighbours whose messages are not here, at each side of `heard`."""
+        now, following = set(self.lacking.values()), set(self._next.values())
+        return (following, now) if self.side else (now, following)
+
+    def go_to(self, tick: int, lacking: Lacking) -> None:
+        """Be at `tick` of this epoch, without what is `lacking`; exchanges are at every tick."""
+        self._at_start &= tick == self._tick
+        self._tick = tick
+        self.side = tick & 1
+        self.lacking, self._next = (
+            {header: bird for header, bird in self._expected(at).items() if bird in lacking[at & 1]}
+            for at in (tick, tick + 1)
+        )
 
     def take(self, data: bytes) -> str:
         """Take a message as it came off the wire; return why it is ignored, or nothing."""

@@ -29,6 +29,7 @@ from flock_sim.nodes.complaints import Complaints
 from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
 from flock_sim.nodes.drain import keep_flying
 from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
+from flock_sim.nodes.exchange import FAILED, MOVED, STRANGE, Legs, legs_of, strange
 from flock_sim.nodes.parameters import OF_ALL, declare
 from flock_sim.nodes.patience import Patience
 from flock_sim.nodes.process import Process, executing, new_life, run_node
@@ -82,9 +83,10 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = protocol or BirdProtocol(
+        self._protocol = protocol or BirdProtocol(
             bird, configuration, run_id, new_life(), self.control, stage_kernel
         )
+        self._legs: Legs | None = None
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
             for channel, (kind, topic) in (outlets or _outlets(bird, configuration)).items()
@@ -109,8 +111,99 @@ class BirdNode(DrainedNode):
         }
         self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
         self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, self.told)
+        if isinstance(self._protocol, BirdProtocol):
+            inlets = [inlet.subscription for inlet in self._stages.values()]
+            outlet = self._outlets[Channel.STAGE]
+            self._legs = legs_of(self._protocol, configuration.dt, outlet, inlets)
+
+    @property
+    def protocol(self) -> BirdProtocol | FreeBird:
+        """What it says when. Where it is on a leg, it lands to be asked."""
+        if self._legs and self._legs.on:
+            self._send(self._legs.land())
+        return self._protocol
 
     def drain(self) -> bool:
+        """Take the stages that it waits for, and go on; return whether it could."""
+        legs = self._legs
+        if legs is None or not legs.embark():
+            return self._take_missing()
+        outcome = legs.go_on()
+        return outcome == MOVED if outcome <= MOVED else self._leave_leg(outcome)
+
+    def drain_rare(self) -> bool:
+        """Take all else: stages of whom it waits for no more, wings before the flight."""
+        legs = self._legs
+        if legs and legs.on:
+            outcome = legs.look_through()
+            moved = outcome == MOVED if outcome <= MOVED else self._leave_leg(outcome)
+            if legs.foreign and legs.on:
+                self._send(legs.land())
+        else:
+            moved = self._take_all_stages()
+        if not self._protocol.in_flight:
+            for inlet in self._wings.values():
+                while (data := inlet.take()) is not None:
+                    moved |= self.hear(messages.Wing, self._protocol.receive_wing, data)
+        self._complaints.tell()
+        return moved
+
+    def report(self) -> None:
+        """Tell the clock that this bird is there, and waits."""
+        self._send(self.protocol.report())
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight is over for this bird."""
+        if self._legs and self._legs.on:
+            return False
+        return self.protocol.finished and self.protocol.released
+
+    @property
+    def waiting_for(self) -> str:
+        """What the bird needs to go on, in words."""
+        return f"{self.get_name()} waits for {self.protocol.waiting_for}"
+
+    @property
+    def outlets(self) -> Iterable[Publisher]:
+        """All that it says something on."""
+        return self._outlets.values()
+
+    def destroy_node(self) -> None:
+        """Be no more; legs go by the addresses of what goes with it."""
+        self._legs = None
+        super().destroy_node()
+
+    def hear(
+        self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
+    ) -> bool:
+        """Let its protocol `receive` a message, and send what that answers.
+
+        Returns whether it was one for this bird.
+        """
+        ignored = self.protocol.ignored
+        try:
+            message = kind.decode(data)
+        except ValueError:
+            self.protocol.ignore(MALFORMED)
+        else:
+            self._send(receive(message))
+        return self.protocol.ignored == ignored
+
+    def _leave_leg(self, outcome: int) -> bool:
+        """Land where a leg is over, or can't go on by itself; return whether anything came."""
+        legs = self._legs
+        assert legs is not None
+        moved = legs.moved
+        data = strange() if outcome == STRANGE else b""
+        self._send(legs.land())
+        if outcome == STRANGE:
+            moved |= self._take_stage(data)
+        elif outcome == FAILED:
+            moved |= self._take_missing()
+        return moved
+
+    def _take_missing(self) -> bool:
         """Take the stages that the protocol waits for; return whether any came.
 
         Where it waits for none, whatever is there: a queue that is full of another flight's would
@@ -131,52 +224,6 @@ class BirdNode(DrainedNode):
                     moved = True
                     break
         return moved
-
-    def drain_rare(self) -> bool:
-        """Take all else: stages of whom it waits for no more, wings before the flight."""
-        protocol = self.protocol
-        moved = self._take_all_stages()
-        if not protocol.in_flight:
-            for inlet in self._wings.values():
-                while (data := inlet.take()) is not None:
-                    moved |= self.hear(messages.Wing, protocol.receive_wing, data)
-        self._complaints.tell()
-        return moved
-
-    def report(self) -> None:
-        """Tell the clock that this bird is there, and waits."""
-        self._send(self.protocol.report())
-
-    @property
-    def finished(self) -> bool:
-        """Whether the flight is over for this bird."""
-        return self.protocol.finished and self.protocol.released
-
-    @property
-    def waiting_for(self) -> str:
-        """What the bird needs to go on, in words."""
-        return f"{self.get_name()} waits for {self.protocol.waiting_for}"
-
-    @property
-    def outlets(self) -> Iterable[Publisher]:
-        """All that it says something on."""
-        return self._outlets.values()
-
-    def hear(
-        self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
-    ) -> bool:
-        """Let its protocol `receive` a message, and send what that answers.
-
-        Returns whether it was one for this bird.
-        """
-        ignored = self.protocol.ignored
-        try:
-            message = kind.decode(data)
-        except ValueError:
-            self.protocol.ignore(MALFORMED)
-        else:
-            self._send(receive(message))
-        return self.protocol.ignored == ignored
 
     def _take_all_stages(self) -> bool:
         moved = False

@@ -106,7 +106,7 @@ def keep_flying(
             reports += 1
             for bird in birds:
                 bird.report()
-        patience.wait(lambda: next(bird.waiting_for for bird in birds if not bird.finished))
+        patience.wait(lambda: next((b.waiting_for for b in birds if not b.finished), "nothing"))
 
 
 def _go_on(group: Sequence[Flier]) -> bool:

@@ -94,7 +94,7 @@ class Inlet:
 
     def __init__(self, subscription: Subscription) -> None:
         """Take from `subscription`."""
-        self._subscription = subscription
+        self.subscription = subscription
         self.take_raw: Callable[[], tuple[bytes, dict[str, int]] | None] = partial(
             subscription.handle.take_message, subscription.msg_type, True
         )
@@ -103,7 +103,7 @@ class Inlet:
     @property
     def connected(self) -> bool:
         """Whether somebody publishes to it."""
-        return bool(self._subscription.get_publisher_count() > 0)
+        return bool(self.subscription.get_publisher_count() > 0)
 
     def take(self) -> bytes | None:
         """Return the next message as CDR, or None; never waits."""
