@@ -129,27 +129,29 @@ def test_a_leg_ends_where_there_is_more_to_do_than_to_exchange() -> None:
     assert ends == {7, 14, 21, 28, STEPS // 2, 9, STEPS}
 
 
-def test_messages_of_others_are_counted_when_it_lands() -> None:
+def embarked() -> tuple[BirdProtocol, Leg]:
+    """Return a bird that has passed the first stage, and the leg that it is on."""
     flown = begun(legs=True)
     for data in (stages_of(1)[0], stages_of(3)[0]):
         flown.bird.receive_stage(data)
     assert flown.leg is not None
     assert flown.bird.embark(flown.leg)
-    flown.leg.words[FOREIGN] = 3
-    assert flown.bird.land(flown.leg) == []
-    assert flown.bird.ignored_for == {"of another run": 3}
+    return flown.bird, flown.leg
+
+
+def test_messages_of_others_are_counted_when_it_lands() -> None:
+    bird, leg = embarked()
+    leg.words[FOREIGN] = 3
+    assert bird.land(leg) == []
+    assert bird.ignored_for == {"of another run": 3}
 
 
 def test_who_is_released_needs_no_legs() -> None:
-    flown = begun(legs=True)
-    for data in (stages_of(1)[0], stages_of(3)[0]):
-        flown.bird.receive_stage(data)
-    assert flown.leg is not None
-    assert flown.bird.embark(flown.leg)
-    flown.bird.land(flown.leg)
-    flown.bird.receive_grant(Grant(RUN, STEPS + 1, STEPS, 1.0, EPOCH))
-    assert not flown.bird.embark(flown.leg)
-    assert flown.bird.finished
+    bird, leg = embarked()
+    bird.land(leg)
+    bird.receive_grant(Grant(RUN, STEPS + 1, STEPS, 1.0, EPOCH))
+    assert not bird.embark(leg)
+    assert bird.finished
 
 
 def test_birds_that_do_more_at_a_stage_have_no_legs() -> None:

@@ -32,7 +32,7 @@ PATIENCE = 10.0
 """Time, in s, that a listener may take for what it was sent; losses are looked for every 3 s."""
 
 AT_ONCE = 256
-"""Messages under way at `--rate 0`: Fast DDS has room for 512 in the memory that is shared."""
+"""Messages under way at `--rate 0`, on all topics."""
 
 MEET_EVERY = 0.02
 """Time, in s, between two looks whether all who listen are connected."""

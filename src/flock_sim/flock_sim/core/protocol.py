@@ -290,16 +290,14 @@ class BirdProtocol(Listener):
         if tick > self._tick:
             self._reached = max(self._reached, (tick - 1) // STAGES)
             self._said.append(self._said_at(tick - 1))
-        if leg.over:
-            self._tick = tick - 1
-            inbox.go_to(self._tick, leg.lacking)
-            out = self._turn()
-            return out if inbox.lacking else out + self._advance()
-        if tick > self._tick:
-            self._said.append(self._said_at(tick))
-        self._tick = tick
-        inbox.go_to(tick, leg.lacking)
-        return []
+            if not leg.over:
+                self._said.append(self._said_at(tick))
+        self._tick = tick - leg.over
+        inbox.go_to(self._tick, leg.lacking)
+        if not leg.over:
+            return []
+        out = self._turn()
+        return out if inbox.lacking else out + self._advance()
 
     def _said_at(self, tick: int) -> Outgoing:
         """Return what was said at one of the last two ticks."""

@@ -128,15 +128,13 @@ class BirdNode(DrainedNode):
         legs = self._legs
         if legs is None or not legs.embark():
             return self._take_missing()
-        outcome = legs.go_on()
-        return outcome == MOVED if outcome <= MOVED else self._leave_leg(outcome)
+        return self._after(legs.go_on())
 
     def drain_rare(self) -> bool:
         """Take all else: stages of whom it waits for no more, wings before the flight."""
         legs = self._legs
         if legs and legs.on:
-            outcome = legs.look_through()
-            moved = outcome == MOVED if outcome <= MOVED else self._leave_leg(outcome)
+            moved = self._after(legs.look_through())
             if legs.foreign and legs.on:
                 self._send(legs.land())
         else:
@@ -190,8 +188,10 @@ class BirdNode(DrainedNode):
             self._send(receive(message))
         return self.protocol.ignored == ignored
 
-    def _leave_leg(self, outcome: int) -> bool:
+    def _after(self, outcome: int) -> bool:
         """Land where a leg is over, or can't go on by itself; return whether anything came."""
+        if outcome <= MOVED:
+            return outcome == MOVED
         legs = self._legs
         assert legs is not None
         moved = legs.moved

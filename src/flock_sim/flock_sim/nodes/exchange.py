@@ -64,6 +64,7 @@ there is a message that the protocol has to judge; ROS could not take or send, a
 WORD = 8
 HEADER_AT, HEADER_SIZE = stage_message.HEADER_AT, stage_message.HEADER.size
 NONE_CAME = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
+BEFORE_MESSAGE = 4  # bytes before a message that is kept: so its numbers are aligned words
 ROOM = 512  # of a message, in bytes, to begin with
 
 # C functions, which compiled code finds by their names.
@@ -111,6 +112,12 @@ def _pointer(_: Any, address: Any) -> Any:
 
 
 @kernel
+def _stride(leg: IntArray) -> int:
+    """Return the bytes from one stage message to the next, where they are kept."""
+    return BEFORE_MESSAGE + leg[SIZE]
+
+
+@kernel
 def exchange(leg: IntArray, dt: float, thorough: bool) -> int:
     """Go on along a leg as far as messages allow; return what came of it.
 
@@ -118,8 +125,7 @@ def exchange(leg: IntArray, dt: float, thorough: bool) -> int:
     messages into. `thorough`: take all that is there, also of who is not waited for.
     """
     leg[BEFORE] = leg[TICK]
-    members, count = leg[MEMBERS], leg[NEIGHBOURS]
-    width = stage_message.FIRST_WORD + 3 * members + 2
+    members, count, width = leg[MEMBERS], leg[NEIGHBOURS], _stride(leg) // WORD
     own = numba.carray(_pointer(leg[OWN]), (6, members), np.float64)
     geometry = numba.carray(_pointer(leg[GEOMETRY]), (count, 3, members), np.float64)
     heard = numba.carray(_pointer(leg[HEARD]), (2, count, width), np.float64)
@@ -144,7 +150,8 @@ def exchange(leg: IntArray, dt: float, thorough: bool) -> int:
         leg[TICK] = tick
         if tick >= leg[END]:
             return OVER
-        words = numba.carray(_pointer(leg[MINE] + WORD * width * (tick & 1)), width, np.int64)
+        # The header begins with the second word of those that `feel_and_move` has filled.
+        words = numba.carray(_pointer(leg[MINE] + _stride(leg) * (tick & 1)), width, np.int64)
         words[1] = leg[RUN_ID]
         words[2] = tick // STAGES
         words[3] = leg[EPOCH] | leg[BIRD] << 32
@@ -185,9 +192,8 @@ def _hear(leg: IntArray, k: int, thorough: bool) -> int:
             or leg[at + HERE + place]
         ):
             return STRANGE
-        row = place * leg[NEIGHBOURS] + k
-        width = stage_message.FIRST_WORD + 3 * members + 2
-        _copy(leg[HEARD] + WORD * width * row + 4, message[BUFFER], leg[SIZE])
+        row = leg[HEARD] + _stride(leg) * (place * leg[NEIGHBOURS] + k)
+        _copy(row + BEFORE_MESSAGE, message[BUFFER], leg[SIZE])
         leg[at + HERE + place] = 1
     return MOVED
 
