@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-# PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest.
+# PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest, WORKERS=1 runs one test at a time, and
+# ALL=1 runs the slow tests too, as .ci/run does.
 
-.PHONY: setup demo test torture lint docs bench figures clean help
+WORKERS = $(shell nproc)
+
+.PHONY: setup demo test test-kilted torture lint docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
 	@tools/setup
@@ -15,17 +18,24 @@ demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure a
 	@echo "in a browser. The same flight without ROS, to the bit:"
 	@echo "  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"
 
-test: setup  ## run all tests
-	@./flock python -m pytest $(PYTEST_ARGS)
+test: setup  ## run the tests; ALL=1: the slow ones too
+	@./flock python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder \
+		$(if $(ALL),,-m "not slow") $(PYTEST_ARGS)
 
-torture: setup  ## kill the processes of flights a hundred times at random, and pelt a bird with forgeries
+test-kilted:  ## fly with ROS 2 Kilted, which has Fast DDS 3, from a copy of this tree in build/kilted
+	@tools/test-kilted $(PYTEST_ARGS)
+
+torture: setup  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
-	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/test_stage_fuzz.py
+	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/protocol/test_stage_fuzz.py tests/unit/recording/test_torture.py
+	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 ./flock python -m pytest -q \
+		tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py tests/ros/test_forged.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check
 	@./flock python -m ruff format --check
 	@./flock python -m mypy
+	@./flock python -c "from importlinter.cli import lint_imports_command; lint_imports_command()" --no-cache
 
 docs: setup  ## write docs/tools.md and docs/messages.md anew, and build the site in build/site
 	@./flock python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements/docs.txt
@@ -47,6 +57,7 @@ bench: setup  ## measure throughput
 	@./flock python benchmarks/scaling.py
 
 clean:  ## remove all that was built; recorded flights stay
+	rm -f .venv/flock-stamp build/flock-stamp
 	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 

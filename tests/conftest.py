@@ -1,20 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all tests have: an environment that no other test has touched, and how hypothesis searches.
+"""Common to all tests: an environment that is restored after each test, and hypothesis profiles.
 
-It does so repeatably in every run; `--hypothesis-profile=search` looks further.
+By default, hypothesis searches repeatably. `--hypothesis-profile=search` tries more examples. The
+fixture `terminal` is on a ROS domain of its own. The fixture `visitor` is on that domain, too.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-# No deadline: the first example of a kernel pays for its compiler, and machines differ.
-# No database: the same tree gives the same verdict, whatever was run before.
+from support.terminal import Terminal, open_terminal
+
+if TYPE_CHECKING:
+    from support.visitor import Visitor
+
+# No deadline: the first example of a kernel compiles it, and machines differ.
+# No database: the same tree gives the same verdict, regardless of earlier runs.
 settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
 settings.register_profile(
     "search",
@@ -28,9 +36,25 @@ settings.load_profile("repeatable")
 
 @pytest.fixture(autouse=True)
 def _own_environment() -> Iterator[None]:
-    """Forget what a test has put into the environment: tools that run in this process do so.
+    """Restore the environment, which tools that run in this process change.
 
-    What a later test starts would otherwise go by the settings for DDS of an earlier one.
+    Otherwise, a later test would use the DDS settings of an earlier one.
     """
     with patch.dict(os.environ):
         yield
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    """A terminal. At its end, all processes and files of its tools must be gone."""
+    with open_terminal(tmp_path / "terminal") as opened:
+        yield opened
+
+
+@pytest.fixture
+def visitor(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
+    """A node of this process, on the domain of the terminal."""
+    from support.visitor import visiting  # most tests do not use ROS
+
+    with visiting(terminal, monkeypatch) as visitor:
+        yield visitor

@@ -11,7 +11,10 @@ setup(
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_sim"]),
-        ("share/flock_sim", ["package.xml", "machine.xml", "network.xml"]),
+        (
+            "share/flock_sim",
+            ["package.xml", "machine.xml", "machine_3.xml", "network.xml", "network_3.xml"],
+        ),
         (
             "share/flock_sim/launch",
             ["launch/flock.launch.py", "launch/composed.launch.py"],
@@ -19,11 +22,11 @@ setup(
     ],
     entry_points={
         "console_scripts": [
-            "bird=flock_sim.nodes.bird:main",
-            "clock=flock_sim.nodes.clock:main",
-            "recorder=flock_sim.nodes.recorder:main",
-            "fly=flock_sim.fly:main",
-            "reference=flock_sim.reference:main",
+            "bird=flock_sim.nodes.executables:bird",
+            "clock=flock_sim.nodes.executables:clock",
+            "recorder=flock_sim.nodes.executables:recorder",
+            "fly=flock_sim.commands.fly:main",
+            "reference=flock_sim.commands.reference:main",
         ],
     },
 )

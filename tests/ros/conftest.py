@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A terminal, or a ROS context in this process, for every test; each on a domain of its own.
-
-A visitor of a terminal is on the domain of the terminal.
-"""
+"""A ROS context in this process, on a domain of its own."""
 
 from __future__ import annotations
 
@@ -14,9 +11,9 @@ import pytest
 import rclpy
 from rclpy.context import Context
 
-from flock_sim.nodes.process import ros_context
-from terminal import Terminal, open_terminal, own_domain, ports
-from visitor import Visitor, tell_fast_dds, visiting
+from flock_sim.ros.process import ros_context
+from support.terminal import own_domain, ports
+from support.visitor import tell_fast_dds
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -28,24 +25,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def _closes_what_it_opens() -> Iterator[None]:
-    """See that a test leaves none of its ROS contexts open in this process."""
+    """Check that a test closes all of its ROS contexts in this process."""
     before = ports(os.getpid())
     yield
     assert ports(os.getpid()) <= before
-
-
-@pytest.fixture
-def terminal(tmp_path: Path) -> Iterator[Terminal]:
-    """A terminal; at its end nothing may be left of what was started in it."""
-    with open_terminal(tmp_path / "terminal") as opened:
-        yield opened
-
-
-@pytest.fixture
-def visitor(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
-    """A node of this process, on the domain of the terminal."""
-    with visiting(terminal, monkeypatch) as visitor:
-        yield visitor
 
 
 @pytest.fixture

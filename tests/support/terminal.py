@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's terminal in the hands of a test: starts tools, and sees that nothing is left of them.
+"""A simulated terminal of a user: it starts tools, and checks that they leave nothing behind.
 
-Everything that a tool starts inherits a mark in its environment, by which it is found in /proc,
-whoever its parent is by now. All that tools could write by themselves goes below one directory.
+Tools are forked from a server that has imported all of them (forked.py). They have a session of
+their own, by which their child processes are found in /proc. New processes are also found by a mark
+in their environment. All files of tools are below one directory.
 """
 
 from __future__ import annotations
@@ -21,41 +22,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flock_sim.discovery import FIRST_PORT, LAST_DOMAIN, PORTS, quiet_domains
-
-TOOLS = {
-    "fly": "flock_sim.fly",
-    "reference": "flock_sim.reference",
-    "bird": "flock_sim.nodes.bird",
-    "clock": "flock_sim.nodes.clock",
-    "recorder": "flock_sim.nodes.recorder",
-    "metrics": "flock_tools.metrics",
-    "compare": "flock_tools.compare",
-    "picture": "flock_tools.picture",
-    "report": "flock_tools.report",
-    "figures": "flock_tools.figures",
-    "play": "flock_tools.play",
-    "watch": "flock_tools.watch",
-    "view": "flock_tools.view",
-    "repair": "flock_tools.repair",
-    "equilibrium": "flock_tools.equilibrium",
-    "limits": "flock_tools.limits",
-    "survey": "flock_tools.survey",
-    "study": "flock_tools.study",
-    "sweep": "flock_tools.sweep",
-}
+from flock_sim.launcher.fork_server import Child, Program
+from flock_sim.ros.discovery import FIRST_PORT, LAST_DOMAIN, PORTS, quiet_domains
+from flock_sim.ros.settings_check import shared_memory, udp_sockets
+from support.forked import TOOLS, fork_server
 
 DEADLINE = 300.0
-"""Time, in s, after which a tool hangs: some ten times what the slowest takes on two idle cores."""
+"""Time after which a tool counts as hung, in s: ten times the slowest on two idle cores."""
 
 POLL = 0.02
 
 MARK = "FLOCK_TEST_MARK"
 
+STREAMS = ("stdin", "stdout", "stderr")
+
 
 @dataclass(frozen=True)
 class Done:
-    """What a user sees of a tool that has ended."""
+    """The exit status and the output of a tool."""
 
     status: int
     stdout: str
@@ -70,9 +54,9 @@ class Done:
 
     @property
     def error(self) -> str:
-        """The one line that begins with `error: `; stderr holds no other such line, no traceback.
+        """The last line, an `error: ` line. Stderr has no other such line, and no traceback.
 
-        Notes, such as where a flight is recorded, may stand before it.
+        Notes, such as the path of a recorded flight, may precede it.
         """
         assert "Traceback" not in self.stderr, self.stderr
         *notes, last = self.stderr.splitlines() or [""]
@@ -84,7 +68,9 @@ class Done:
 class Job:
     """A tool that was started."""
 
-    def __init__(self, terminal: Terminal, process: subprocess.Popen[bytes], log: Path) -> None:
+    def __init__(
+        self, terminal: Terminal, process: subprocess.Popen[bytes] | Child, log: Path
+    ) -> None:
         self.process = process
         self.begun = time.monotonic()
         self._terminal = terminal
@@ -92,12 +78,12 @@ class Job:
 
     @property
     def stderr(self) -> str:
-        """What it has said on stderr so far."""
+        """The output on stderr so far."""
         return self._log.with_suffix(".err").read_text(encoding="utf-8")
 
     @property
     def stdout(self) -> str:
-        """What it has printed so far."""
+        """The output on stdout so far."""
         return self._log.with_suffix(".out").read_text(encoding="utf-8")
 
     @property
@@ -106,7 +92,7 @@ class Job:
         return self.process.poll() is None
 
     def until(self, condition: Callable[[], Any], within: float = DEADLINE) -> Any:
-        """Wait until `condition` is true, and return what it gave; the tool must not end before."""
+        """Wait until `condition` is true, and return its value. The tool must not end before."""
         deadline = time.monotonic() + within
         while not (value := condition()):
             assert self.running, f"ended with {self.process.returncode}: {self.stderr}"
@@ -121,15 +107,17 @@ class Job:
         return self
 
     def until_said(self, words: str, within: float = DEADLINE) -> Job:
-        """Wait until the tool has said `words` on stderr."""
+        """Wait until the tool has written `words` to stderr."""
         self.until(lambda: words in self.stderr, within)
         return self
 
     def workers(self, module: str) -> list[int]:
         """Return the processes that run `module` on behalf of this tool."""
         return [
-            pid for pid in self._terminal.processes() if module in _words(pid)
-        ]  # fmt: skip
+            pid
+            for pid in self._terminal.processes()
+            if any(word == module or word.startswith(f"{module}:") for word in _words(pid))
+        ]
 
     def interrupt(self) -> None:
         """Press Ctrl-C: the terminal sends SIGINT to every process of the group."""
@@ -142,7 +130,7 @@ class Job:
         self.process.send_signal(number)
 
     def wait(self, within: float = DEADLINE) -> Done:
-        """Wait for the end."""
+        """Wait for the end of the tool."""
         deadline = time.monotonic() + within
         while self.running:
             assert time.monotonic() < deadline, f"still runs after {within:g} s: {self.stderr}"
@@ -172,6 +160,7 @@ class Terminal:
             MARK: self._mark,
         }
         self.environment.pop("FLOCK_SUPERVISED", None)
+        self._sessions: set[int] = set()
         self._shared: set[str] = set()
         self._looked = 0.0
         self._count = 0
@@ -179,55 +168,85 @@ class Terminal:
     def start(
         self, tool: str, *arguments: object, enter: Sequence[str] = (), **options: Any
     ) -> Job:
-        """Start a tool, as a user does; `options` go to Popen.
+        """Start a tool as a user does. `options` are passed to Popen.
 
-        `enter` are words before the command, such as `nsenter ...`.
+        `enter` is a prefix of the command, such as `nsenter ...`. With a prefix, or with options
+        other than streams and `env`, the tool is a new process of Python; otherwise it is a fork.
         """
-        module = [*enter, sys.executable, "-P", "-m", TOOLS[tool]]
-        return self.start_command(tool, [*module, *map(str, arguments)], **options)
+        if enter or not set(options) <= {*STREAMS, "env"}:
+            module = [*enter, sys.executable, "-P", "-m", TOOLS[tool]]
+            return self.start_command(tool, [*module, *map(str, arguments)], **options)
+        program = Program(
+            TOOLS[tool],
+            list(map(str, arguments)),
+            "test",
+            options.pop("env", self.environment),
+            str(self.directory),
+            new_session=True,
+        )
+        with self._streams(tool) as (log, streams):
+            streams |= options
+            files = {number: _number(streams[name]) for number, name in enumerate(STREAMS)}
+            process = fork_server().start(program, files)
+        self._sessions.add(process.pid)
+        return Job(self, process, log)
 
     def start_command(self, name: str, command: list[str], **options: Any) -> Job:
-        """Start what is none of our tools; `name` is that of its log."""
-        self._count += 1
-        log = self._logs / f"{self._count}-{name}"
-        with log.with_suffix(".out").open("wb") as out, log.with_suffix(".err").open("wb") as err:
+        """Start a command that is no tool of Flock. `name` is the name of its log."""
+        with self._streams(name) as (log, streams):
             process = subprocess.Popen(
                 command,
                 **{
-                    "stdin": subprocess.DEVNULL,
-                    "stdout": out,
-                    "stderr": err,
+                    **streams,
                     "cwd": self.directory,
                     "env": self.environment,
                     "start_new_session": True,
+                    # SIGINT is ignored if a shell has started the tests in the background.
+                    "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
                     **options,
                 },
             )
         return Job(self, process, log)
+
+    @contextmanager
+    def _streams(self, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
+        """Give the path of a new log, without its suffix, and its streams."""
+        self._count += 1
+        log = self._logs / f"{self._count}-{name}"
+        with (
+            open(os.devnull, "rb") as nothing,
+            log.with_suffix(".out").open("wb") as out,
+            log.with_suffix(".err").open("wb") as err,
+        ):
+            yield log, dict(zip(STREAMS, (nothing, out, err), strict=True))
 
     def run(self, tool: str, *arguments: object) -> Done:
         """Run a tool to its end."""
         return self.start(tool, *arguments).wait()
 
     def well(self, tool: str, *arguments: object) -> Done:
-        """Run a tool that must end well."""
+        """Run a tool that must end without an error."""
         done = self.run(tool, *arguments)
         assert done.status == 0, done.stderr
         assert "ended by force" not in done.stderr
         return done
 
     def processes(self) -> list[int]:
-        """Return the processes that live of those started here, and of those that they started."""
+        """Return the live processes among those started here and their children."""
         mark = f"{MARK}={self._mark}".encode()
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                if mark in (entry / "environ").read_bytes().split(b"\0"):
+                if not lives(int(entry.name)):
+                    continue
+                if os.getsid(int(entry.name)) in self._sessions or (
+                    mark in (entry / "environ").read_bytes().split(b"\0")
+                ):
                     found.append(int(entry.name))
         return found
 
     def look(self) -> None:
-        """Take note of the shared memory that our processes use, now and then: Flock uses none."""
+        """Register the shared memory of the processes, every 0.2 s at most: Flock uses none."""
         if time.monotonic() - self._looked < 0.2:
             return
         for pid in self.processes():
@@ -235,13 +254,13 @@ class Terminal:
         self._looked = time.monotonic()
 
     def left_behind(self) -> list[str]:
-        """Return what is left of our tools: processes, shared memory, temporary files."""
+        """Return the leftovers of tools: processes, shared memory, temporary files."""
         files = [*self.home.iterdir(), *self.temporary.iterdir()]
         processes = [f"process {pid}: {' '.join(_words(pid))}" for pid in self.processes()]
         return [*processes, *map(str, files), *self._shared]
 
     def clear(self) -> None:
-        """End what still runs and remove what is left."""
+        """Kill all processes that still run."""
         for pid in self.processes():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
@@ -249,7 +268,7 @@ class Terminal:
 
 @contextmanager
 def open_terminal(directory: Path) -> Iterator[Terminal]:
-    """Give a terminal; at the end nothing may be left of what was started in it."""
+    """Give a terminal. At the end, all processes and files of its tools must be gone."""
     with own_domain() as domain:
         terminal = Terminal(directory, domain)
         try:
@@ -264,7 +283,7 @@ def open_terminal(directory: Path) -> Iterator[Terminal]:
 def own_domain() -> Iterator[int]:
     """Give a ROS_DOMAIN_ID that no other test has, in this run of pytest or another.
 
-    Claimed by a name in the abstract socket namespace: the kernel gives it back whatever happens.
+    It is claimed by a name in the abstract socket namespace, which the kernel always releases.
     """
     for domain in quiet_domains():
         claim = socket.socket(socket.AF_UNIX)
@@ -282,37 +301,34 @@ def own_domain() -> Iterator[int]:
 def ports(pid: int) -> set[int]:
     """Return the ports of ROS domains on which a process listens."""
     all_domains = range(FIRST_PORT, FIRST_PORT + PORTS * (LAST_DOMAIN + 1))
-    return {port for _, port in sockets(pid) if port in all_domains}
+    return {port for _, port in udp_sockets(pid) if port in all_domains}
 
 
-def sockets(pid: int) -> set[tuple[str, int]]:
-    """Return address and port of each UDP socket that a process has."""
-    links, table = set(), ""
-    with suppress(OSError):  # it may have ended
-        for link in Path(f"/proc/{pid}/fd").iterdir():
-            with suppress(OSError):  # or have closed this one
-                links.add(os.readlink(link))
-        table = Path(f"/proc/{pid}/net/udp").read_text(encoding="ascii")
-    found = set()
-    for line in table.splitlines()[1:]:
-        _, local, _, _, _, _, _, _, _, inode, *_ = line.split()
-        if f"socket:[{inode}]" in links:
-            address, _, port = local.partition(":")
-            native = int(address, 16).to_bytes(4, sys.byteorder)
-            found.add((socket.inet_ntoa(native), int(port, 16)))
-    return found
-
-
-def shared_memory(pid: int) -> set[str]:
-    """Return the shared memory of Fast DDS that a process has mapped."""
+def lives(pid: int) -> bool:
+    """Whether a process runs. A zombie, whose status no process has read, does not run."""
     try:
-        maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
+        return _status(pid)[0] not in "ZX"
     except OSError:
-        return set()
-    return {word for word in maps.split() if word.startswith("/dev/shm/fastrtps_")}
+        return False
+
+
+def parent(pid: int) -> int:
+    """Return the parent of a process: the one that started or inherited it."""
+    return int(_status(pid)[1])
+
+
+def _status(pid: int) -> list[str]:
+    """Return the kernel's status fields of a process, from its state on. Raises OSError."""
+    told = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    return told.rpartition(")")[2].split()
 
 
 def _words(pid: int) -> list[str]:
+    """Return the words of a command line, or of the process title that replaced it."""
     with suppress(OSError):
-        return Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+        return Path(f"/proc/{pid}/cmdline").read_bytes().decode().replace("\0", " ").split()
     return []
+
+
+def _number(stream: Any) -> int:
+    return stream if isinstance(stream, int) else stream.fileno()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several hosts on this machine, for a test, and a network between them that loses and delays.
+"""Several simulated hosts on this machine, and a network between them with losses and delays.
 
-A host has its own network, loopback included; files and processes it shares with all. Nothing of it
-has a name that could be left behind: the kernel takes it away with the last process on the host,
-and the one that holds the host open ends with the test.
+A host has its own network with a loopback, and shares files and processes with all others. It is an
+unnamed network namespace: the kernel removes it with its last process, and the process that holds
+it open ends with the test.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ IP_MULTICAST = b"\x01\x00\x5e"
 IPV4, UDP = b"\x08\x00", 17
 
 FRAME = 2048
-"""More bytes than a frame can have: the devices' MTU is 1500."""
+"""Read size in bytes, larger than any frame: the devices' MTU is 1500."""
 
 
 def unavailable() -> str:
-    """Return why there can be no hosts here, or nothing if there can."""
+    """Return the reason why hosts are not possible here; empty if they are."""
     if os.geteuid() != 0:
         return "hosts need root"
     absent = [tool for tool in ("ip", "unshare", "nsenter") if not shutil.which(tool)]
@@ -51,27 +51,27 @@ def unavailable() -> str:
 
 @dataclass(frozen=True)
 class Weather:
-    """What becomes of a datagram on its way from host to host."""
+    """The faults of datagrams between hosts."""
 
-    loss: float = 0.0  # the probability that it never arrives
-    delay: tuple[float, float] = (0.0, 0.0)  # s; uniformly random between these
+    loss: float = 0.0  # probability of a loss
+    delay: tuple[float, float] = (0.0, 0.0)  # in s; uniformly random in this range
     multicast: bool = True  # whether the network carries it
     seed: int = 1
 
 
 @dataclass
 class Traffic:
-    """What has become of the datagrams so far, each counted once for each receiver."""
+    """Counts of datagrams so far, each counted once for each receiver."""
 
     sent: int = 0
     lost: int = 0
     arrived: int = 0
-    overtaken: int = 0  # arrived after one that the same host sent to the same host later
-    shortest: float = float("inf")  # time on the way, s
+    overtaken: int = 0  # arrived after a later one of the same way
+    shortest: float = float("inf")  # shortest time on the way, in s
     _latest: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def arrive(self, letter: Letter, now: float) -> None:
-        """Take note that `letter` is handed over at time `now`."""
+        """Register the delivery of `letter` at time `now`."""
         self.arrived += 1
         self.shortest = min(self.shortest, now - letter.sent)
         way = (letter.source, letter.target)
@@ -82,7 +82,7 @@ class Traffic:
 
 @dataclass(frozen=True, order=True)
 class Letter:
-    """A frame on its way; the first due is the least."""
+    """A frame in flight. Letters are ordered by due time."""
 
     due: float
     number: int
@@ -93,7 +93,7 @@ class Letter:
 
 
 class Host:
-    """A network of its own."""
+    """A simulated host with its own network."""
 
     def __init__(self, number: int, holder: subprocess.Popen[bytes]) -> None:
         self.address = f"{NETWORK}.{number}"
@@ -101,12 +101,12 @@ class Host:
         self._holder = holder
 
     def enter(self, directory: Path) -> list[str]:
-        """Return the words that, before a command, run it on this host, in `directory`."""
+        """Return the prefix of a command that runs it on this host, in `directory`."""
         spaces = ["nsenter", f"--target={self._holder.pid}", "--net"]
         return [*spaces, "env", f"--chdir={directory}"]
 
     def plug_in(self, device: str) -> None:
-        """Take the network device away from this machine and bring the host up on it."""
+        """Move the network device from this machine to the host and start its network."""
         subprocess.run(["ip", "link", "set", device, "netns", str(self._holder.pid)], check=True)
         commands = (
             "link set lo up",
@@ -119,7 +119,7 @@ class Host:
 
 
 class Relay(threading.Thread):
-    """The network between the hosts: carries Ethernet frames from TAP device to TAP device."""
+    """The network between the hosts. It carries Ethernet frames between TAP devices."""
 
     def __init__(self, taps: list[int], weather: Weather) -> None:
         super().__init__(name="relay", daemon=True)
@@ -145,14 +145,14 @@ class Relay(threading.Thread):
             self._hand_over()
 
     def stop(self) -> None:
-        """End, with what is under way."""
+        """End. Frames in flight are lost."""
         os.write(self._end, b"x")
         self.join()
         for descriptor in (self._ended, self._end):
             os.close(descriptor)
 
     def _until_next_due(self) -> float | None:
-        """Return a time in ms."""
+        """Return the time until the next due frame, in ms; None without a frame."""
         if not self._under_way:
             return None
         return max(0.0, 1e3 * (self._under_way[0].due - time.monotonic()))
@@ -160,7 +160,7 @@ class Relay(threading.Thread):
     def _accept(self, source: int, frame: bytes) -> None:
         now = time.monotonic()
         for target in self._targets(source, frame):
-            if not _is_datagram(frame):  # ARP, say: what DDS can't repair is left alone
+            if not _is_datagram(frame):  # such as ARP: DDS can't repair its loss
                 os.write(self._taps[target], frame)
                 continue
             self.traffic.sent += 1
@@ -172,7 +172,7 @@ class Relay(threading.Thread):
             heapq.heappush(self._under_way, letter)
 
     def _targets(self, source: int, frame: bytes) -> list[int]:
-        """Return who is to have a frame: the host of its address, or all others."""
+        """Return the receivers of a frame: the host of its address, or all others."""
         if frame[:3] == IP_MULTICAST and not self._weather.multicast:
             return []
         others = [target for target in range(len(self._taps)) if target != source]
@@ -194,7 +194,7 @@ def _is_datagram(frame: bytes) -> bool:
 
 @contextmanager
 def joined_hosts(count: int, weather: Weather) -> Iterator[tuple[list[Host], Traffic]]:
-    """Give `count` hosts on one network, and what has become of its datagrams so far."""
+    """Give `count` hosts on one network, and the counts of its datagrams."""
     with ExitStack() as stack:
         hosts = [stack.enter_context(_host(number)) for number in range(1, count + 1)]
         taps = [stack.enter_context(_tap(host)) for host in hosts]
@@ -206,7 +206,7 @@ def joined_hosts(count: int, weather: Weather) -> Iterator[tuple[list[Host], Tra
 
 @contextmanager
 def _host(number: int) -> Iterator[Host]:
-    """Give a host: it exists as long as a process of ours, which ends when its input does."""
+    """Give a host. It exists as long as a child process, which ends with its input."""
     command = ["unshare", "--net", "sh", "-c", "echo up && exec cat"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None
@@ -216,7 +216,7 @@ def _host(number: int) -> Iterator[Host]:
 
 @contextmanager
 def _tap(host: Host) -> Iterator[int]:
-    """Give the other end of the cable that is plugged into `host`; it is gone once closed."""
+    """Give the descriptor of a TAP device of `host`. The device is removed once it is closed."""
     tap = os.open(TUN, os.O_RDWR)
     try:
         request = struct.pack("16sH22x", b"flock%d", IFF_TAP | IFF_NO_PI)

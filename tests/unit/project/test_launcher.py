@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every tool can be reached: by ./flock, by `ros2 run`, and by the tests."""
+"""Every tool can be started by ./flock, by `ros2 run`, and by the tests."""
 
 import importlib
 import re
@@ -7,16 +7,29 @@ from pathlib import Path
 
 import pytest
 
-from terminal import TOOLS
+from support.terminal import TOOLS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
+
+EXECUTABLES = "flock_sim.nodes.executables"
 
 
 def entry_points() -> dict[str, str]:
-    """Return the module of each executable that the packages install."""
+    """Return the module of each executable that the packages install.
+
+    Those of nodes check the settings first, and only then load the module of the node.
+    """
     found = {}
     for setup in ROOT.glob("src/*/setup.py"):
-        found.update(re.findall(r'"(\w+)=([\w.]+):main"', setup.read_text(encoding="utf-8")))
+        text = setup.read_text(encoding="utf-8")
+        for name, module, function in re.findall(r'"(\w+)=([\w.]+):(\w+)"', text):
+            if module == EXECUTABLES:
+                assert function == name
+                assert callable(getattr(importlib.import_module(module), name))
+                module = f"flock_sim.nodes.{'bird_process' if name == 'bird' else name}"
+            else:
+                assert function == "main"
+            found[name] = module
     return found
 
 

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fork server from which tests start tools, with all tools imported and kernels loaded."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from functools import cache
+from pathlib import Path
+from unittest.mock import patch
+
+from flock_sim.launcher.fork_server import ForkServer
+
+TOOLS = {
+    "fly": "flock_sim.commands.fly",
+    "reference": "flock_sim.commands.reference",
+    "bird": "flock_sim.nodes.bird_process",
+    "clock": "flock_sim.nodes.clock",
+    "recorder": "flock_sim.nodes.recorder",
+    "metrics": "flock_tools.commands.metrics",
+    "compare": "flock_tools.commands.compare",
+    "picture": "flock_tools.commands.picture",
+    "report": "flock_tools.commands.report",
+    "figures": "flock_tools.commands.figures",
+    "play": "flock_tools.commands.play",
+    "watch": "flock_tools.commands.watch",
+    "view": "flock_tools.commands.view",
+    "repair": "flock_tools.commands.repair",
+    "equilibrium": "flock_tools.commands.equilibrium",
+    "limits": "flock_tools.commands.limits",
+    "survey": "flock_tools.commands.survey",
+    "study": "flock_tools.commands.study",
+    "sweep": "flock_tools.commands.sweep",
+}
+"""Every tool, and its module."""
+
+
+PRELOAD = 600.0
+"""Longest wait for the server, which imports everything on a possibly busy machine, in s."""
+
+
+@cache
+def fork_server() -> ForkServer:
+    """Return the server of this process. It ends with the process."""
+    with patch.dict("os.environ", {"PYTHONPATH": _path()}):
+        return ForkServer.spawn("support.forked:preload", timeout=PRELOAD)
+
+
+def preload() -> None:
+    """Load all modules and kernels that a tool may need."""
+    import matplotlib.pyplot  # noqa: F401
+    import scipy.optimize  # noqa: F401
+    import xarray  # noqa: F401
+
+    from flock_sim.configuration.choices import COUPLINGS
+    from flock_sim.launcher import precompile
+    from flock_sim.launcher.preload import preload
+
+    for module in TOOLS.values():
+        importlib.import_module(module)
+    precompile.warm_reference()
+    precompile.warm_reference("hold")
+    for coupling in COUPLINGS:
+        precompile.warm_equilibrium(coupling)
+    precompile.warm_stability()
+    precompile.warm_integral()
+    preload()
+
+
+def _path() -> str:
+    """Return the module search path of Python and of this file."""
+    return ":".join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
