@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stage message where it lies: the bytes of a BirdStage and, without a copy, its numbers.
+"""The layout of a stage message: the bytes of a BirdStage, and its numbers without a copy.
 
 A BirdStage in CDR is 4 bytes of encapsulation, a header (run id, step, epoch, bird, stage, length
 of the first sequence), then the three sequences, each followed by the length of the next and
@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import struct
 
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.messages import ENCAPSULATION
+from flock_sim.messages.types import ENCAPSULATION
+from flock_sim.physics.arrays import FloatArray
 
 HEADER = struct.Struct("<QQIIB3xI")
 HEADER_AT = len(ENCAPSULATION)
 HEADER_END = HEADER_AT + HEADER.size
 
 FIRST_WORD = 5
-"""Where the positions begin, in words; speeds and circulations follow members + 1 words apart."""
+"""Offset of the positions, in words. Speeds and circulations follow, each members + 1 words on."""
 
 
 def stage_words(members: int) -> int:
-    """Return the room of a stage message of `members`, in words, the 4 bytes before it included."""
+    """Return the size of a stage message of `members`, in words, with the 4 bytes before it."""
     return FIRST_WORD + 3 * members + 2
 
 
@@ -33,7 +33,7 @@ def stage_bytes(words: FloatArray, members: int) -> memoryview:
     data[:HEADER_AT] = ENCAPSULATION
     for sequence in range(3):
         numbers = HEADER_AT + HEADER.size + sequence * 8 * (members + 1)
-        at = numbers - (8 if sequence else 4)  # the header ends in the first, without padding
+        at = numbers - (8 if sequence else 4)  # the header ends with the first, without padding
         data[at : at + 4] = struct.pack("<I", members)
     return data
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flock's messages as plain data, and as the bytes that travel and are recorded (CDR).
+"""Flock's messages as plain data, and as the bytes (CDR) that are sent and recorded.
 
-The definitions are those of `flock_interfaces`; a test holds these against the generated ones.
-Having them here lets the core, the recorder and the offline tools work on bytes without ROS.
+The definitions are those of `flock_interfaces`; a test compares them with the generated ones.
+With these classes, the state machines, the recorder and the offline tools need no ROS.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.perturbation import Perturbation
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.errors import FlockError
+from flock_sim.physics.arrays import FloatArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 FRAME = "flock"
@@ -25,9 +26,12 @@ STATE_STEP_AT = 28  # encapsulation 4, stamp 8, length of FRAME 4, FRAME and its
 
 BILLION = 1_000_000_000
 
+ARRAYS = ("position", "speed", "circulation", "interaction_drag")
+"""The fields of a state that have one value per member, in the order of the message."""
+
 
 class Message:
-    """A message whose fields are given, in order, by CDR kinds.
+    """A message; KINDS lists the CDR kinds of its fields, in order.
 
     Kinds are those of `struct` (Q, q, I, i, B, d), "text" and "numbers" (a float64 sequence).
     """
@@ -82,12 +86,12 @@ class Message:
 
 
 def align(data: bytearray, size: int) -> None:
-    """Fill up `data`, CDR with its encapsulation header, to where something of `size` may begin."""
+    """Pad `data`, CDR with its encapsulation header, so that a value of `size` bytes can follow."""
     data += bytes((4 - len(data)) % size)
 
 
 def put(data: bytearray, kind: str, value: object) -> None:
-    """Append `value` as CDR; `kind` is that of `struct`, or "text"."""
+    """Append `value` as CDR; `kind` is a `struct` format character, or "text"."""
     if kind == "text":
         text = str(value).encode() + b"\0"
         put(data, "I", len(text))
@@ -153,9 +157,10 @@ class State(Message):
         return int.from_bytes(data[STATE_STEP_AT : STATE_STEP_AT + 8], "little")
 
     @staticmethod
-    def size(members: int) -> int:
-        """Return the length of an encoded state of `members`, in bytes."""
-        return STATE_STEP_AT + 16 + 4 * 8 * (members + 1) + STATE_ENVELOPE.size
+    def lengths(members: int) -> struct.Struct:
+        """Return the struct that reads the array lengths of an encoded state of `members`."""
+        array = f"I4x{8 * members}x"
+        return struct.Struct(f"<{STATE_STEP_AT + 16}x{array * len(ARRAYS)}{STATE_ENVELOPE.size}x")
 
     @staticmethod
     def envelope(data: bytes) -> tuple[int, int]:
@@ -165,7 +170,7 @@ class State(Message):
 
     @staticmethod
     def opened(data: bytes) -> bytes:
-        """Return an encoded state as it is recorded: of no run and no epoch."""
+        """Return an encoded state as it is recorded: with run id and epoch 0."""
         return data[: -STATE_ENVELOPE.size] + bytes(STATE_ENVELOPE.size)
 
     @classmethod
@@ -199,8 +204,8 @@ class State(Message):
 class Grant(Message):
     """Grant: birds may go up to the beginning of `step`; the run ends at step `end`.
 
-    `terms` is what is flown, as `core.terms` writes it; `perturbation` the id of the last one asked
-    for in flight.
+    `terms` is the configuration as `messages.handshake` writes it; `perturbation` is the id of the
+    last perturbation that was requested in flight.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Grant"
@@ -217,9 +222,10 @@ class Grant(Message):
 
 @dataclass(frozen=True, slots=True)
 class Progress(Message):
-    """Progress: a bird has reached `step`, or the recorder has all up to `step` on disk.
+    """Progress: a bird has reached `step`, or the recorder has all steps up to `step` on disk.
 
-    `life` is drawn by the process that is `who`, which thereby is told from those before it.
+    `who` names the node. Its process draws `life`, the incarnation, at random: a restarted process
+    has another one.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Progress"
@@ -234,9 +240,9 @@ class Progress(Message):
 
 @dataclass(frozen=True, slots=True)
 class Memory(Message):
-    """BirdMemory: what a bird remembers, at the beginning of `step`, of what it has heard.
+    """BirdMemory: what a bird remembers of received messages at the beginning of `step`.
 
-    `data` has shape (vectors * members,), those of `core.links.receiver`.
+    `data` has shape (vectors * members,), those of `protocol.link_receiver`.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdMemory"
@@ -258,7 +264,7 @@ class Memory(Message):
 
 @dataclass(frozen=True, slots=True)
 class Ages(Message):
-    """BirdAges: how old what a bird knew of its neighbours was, in a free flight.
+    """BirdAges: the ages of a bird's data on its neighbours, in a free flight.
 
     `age`, `age_max` (both in s) and `behind` (in steps) have shape (neighbours,).
     """
@@ -279,11 +285,11 @@ class Ages(Message):
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint(Message):
-    """Checkpoint: where `epoch` begins: at `step`, the last one on disk.
+    """Checkpoint: `epoch` begins at `step`, the last step on disk.
 
-    `position` and `speed` have shape (birds * members,), bird by bird; empty: the flight begins.
-    `perturbations` are those asked for in flight so far, between spaces. `memory` is that of all
-    birds in a row, empty where there is none.
+    `position` and `speed` have shape (birds * members,), bird by bird; they are empty if the flight
+    starts at its beginning. `perturbations` are those requested in flight so far, separated by
+    spaces. `memory` joins the memories of all birds; it is empty if no bird has one.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Checkpoint"
@@ -299,13 +305,16 @@ class Checkpoint(Message):
 
     @classmethod
     def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:
-        """Return the checkpoint of a flight of which nothing is recorded."""
+        """Return the checkpoint of a flight that has no recorded step."""
         return cls(run_id, 0, epoch, np.empty(0), np.empty(0), perturbations)
 
 
 @dataclass(frozen=True, slots=True)
 class Push(Message):
-    """Perturbation: a push that was asked for in flight, the `number`-th (1, 2, ...) of its run."""
+    """Perturbation: a push that was requested in flight; `member` 0 means all members.
+
+    `number` is the epoch that begins with the push. It is unique within a run.
+    """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Perturbation"
     KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "d", "d", "I", "I", "I")
@@ -320,13 +329,24 @@ class Push(Message):
 
     @classmethod
     def of(cls, run_id: int, number: int, perturbation: Perturbation) -> Push:
-        """Return the message for a perturbation, the `number`-th of its run."""
+        """Return the message for a perturbation of one member."""
         return cls(run_id, number=number, **asdict(perturbation))
 
-    @property
-    def perturbation(self) -> Perturbation:
-        """What is done; whether the flight has such a bird, member and step is not checked."""
-        return Perturbation(self.step, self.bird, self.member, self.position, self.speed)
+    def each(self, members: int) -> list[Perturbation]:
+        """Return the push of each member, without a check that the flight has these members."""
+        which = [self.member] if self.member else range(1, members + 1)
+        return [Perturbation(self.step, self.bird, m, self.position, self.speed) for m in which]
+
+    def check(self, configuration: FlockConfiguration) -> None:
+        """Raise FlockError if the push does not fit the flight, or has no number."""
+        if not self.number:
+            raise FlockError(f"perturbation '{self}' has no number")
+        for each in self.each(configuration.members):
+            each.check(configuration.birds, configuration.members, configuration.steps)
+
+    def __str__(self) -> str:
+        member = f":{self.member}" if self.member else ""
+        return f"{self.bird}{member}@{self.step}={self.position!r},{self.speed!r}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes of a flight must agree on: the whole configuration, as text in every grant."""
+"""The handshake: every grant carries the whole configuration, on which all nodes must agree."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 
-from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 
 LONGEST_VALUE = 40
-"""Characters of a value that are shown of it."""
+"""Most characters of a value that are shown."""
 
 
-def terms(configuration: FlockConfiguration, factor: float = 0.0) -> str:
-    """Return what is flown, as JSON; `factor` is the real-time factor of a free flight."""
+def handshake(configuration: FlockConfiguration, factor: float = 0.0) -> str:
+    """Return the configuration as JSON; `factor` is the real-time factor of a free flight."""
     flown = configuration.parameters()
     if factor:
         flown["real_time_factor"] = factor
@@ -22,22 +22,24 @@ def terms(configuration: FlockConfiguration, factor: float = 0.0) -> str:
 
 
 def run_id_of(configuration: FlockConfiguration) -> int:
-    """Return the run id of a flight that was given none: 1 .. 2**63 - 1, from what is flown.
+    """Return the default run id of a flight, 1 .. 2**63 - 1, computed from its configuration.
 
-    A clock that is started again so finds its flock again.
+    A restarted clock thus has the run id of its flock.
     """
-    digest = hashlib.blake2b(terms(configuration).encode(), digest_size=8).digest()
+    digest = hashlib.blake2b(handshake(configuration).encode(), digest_size=8).digest()
     return 1 + int.from_bytes(digest, "little") % (2**63 - 1)
 
 
-def agree(who: str, configuration: FlockConfiguration, said: str, factor: float = 0.0) -> None:
-    """Raise FlockError, naming what differs, where the clock's terms `said` are not those of `who`.
+def check_handshake(
+    who: str, configuration: FlockConfiguration, said: str, factor: float = 0.0
+) -> None:
+    """Raise FlockError if the clock's terms, `said`, differ from those of the node `who`.
 
-    `factor` is the real-time factor of `who`, 0 in lockstep.
+    The error names the differences. `factor` is the real-time factor of the node, 0 in lockstep.
 
-    Raises ValueError where `said` are no terms.
+    Raises ValueError if `said` is not the text of terms.
     """
-    expected = terms(configuration, factor)
+    expected = handshake(configuration, factor)
     if said == expected:
         return
     try:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of a flock, and how deep the queues on them are."""
+"""The topics of a flock, and the depths of their queues."""
 
 from __future__ import annotations
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.runge_kutta import STAGES
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.physics.runge_kutta import STAGES
 
 NAMESPACE = "/flock"
 CLOCK_TOPIC = "/clock"
@@ -16,13 +16,21 @@ PERTURBATION_TOPIC = f"{NAMESPACE}/perturbation"
 RECORDER = "recorder"
 
 PERTURBATION_DEPTH = 1000
-"""Pushes asked for in flight that are kept for who comes late."""
+"""Number of pushes requested in flight that are kept for late joiners."""
 
 STAGE_DEPTH = 128
-"""Stages that a bird keeps for a listener that is slow; neighbours need two, a recorder more."""
+"""Number of stages that a bird keeps for slow subscribers. Neighbours need 2, a recorder more."""
+
+FASTEST = 35_000
+"""Approximate maximum rate of a flock, in bird steps per second."""
+
+SHORTEST_FETCH, LONGEST_FETCH = 0.02, 0.25
+FETCHES = 500
+"""Limits, in s, of the delay before a bird announces a new state, and the number of announcements
+that all birds of a large flock make per second."""
 
 STATE_BYTES_AHEAD = 4 * 2**20
-"""Room for the states of a flock on their way to the recorder."""
+"""Room, in bytes, for the states of a flock in transit to the recorder."""
 
 
 def bird_name(bird: int) -> str:
@@ -46,26 +54,26 @@ def state_topic(bird: int) -> str:
 
 
 def memory_topic(bird: int) -> str:
-    """Return the topic of what a bird remembers, if it remembers anything."""
+    """Return the topic of the memory of a bird, which only some birds have."""
     return f"{NAMESPACE}/{bird_name(bird)}/memory"
 
 
 def ages_topic(bird: int) -> str:
-    """Return the topic of how old what a bird knows is, in a free flight."""
+    """Return the topic of the ages of a bird's data on its neighbours, in a free flight."""
     return f"{NAMESPACE}/{bird_name(bird)}/ages"
 
 
 def rows_ahead(configuration: FlockConfiguration) -> int:
-    """Return how many recorded steps may be on their way to the recorder at once."""
+    """Return the maximum number of recorded steps in transit to the recorder."""
     row = configuration.birds * (128 + 32 * configuration.members)
-    row += 8 * configuration.members * int(configuration.linkage.memory_ends[-1])
+    row += 8 * configuration.members * int(configuration.link_table.memory_ends[-1])
     return min(512, max(8, STATE_BYTES_AHEAD // row))
 
 
 def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
-    """Return how many steps the flock may be ahead of what is on disk: two rows or more.
+    """Return how many steps the flock may be ahead of the last step on disk: two rows or more.
 
-    Raises FlockError where stages are to be recorded and the queues do not hold those of two rows.
+    Raises FlockError if stages are to be recorded and the queues do not hold those of two rows.
     """
     every = configuration.record_every
     steps = rows_ahead(configuration) * every
@@ -80,8 +88,20 @@ def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
 
 
 def depth(topic: str, configuration: FlockConfiguration) -> int:
-    """Return the depth of the queues of `topic`: all that may be under way on it, and more."""
+    """Return the depth of the queues of `topic`: more than the messages that can be in transit."""
     kind = topic.rpartition("/")[2]
     if kind in ("state", "memory", "ages", "clock"):
         return 2 * rows_ahead(configuration)
     return {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH}.get(kind, 1)
+
+
+def fetch_period(configuration: FlockConfiguration) -> float:
+    """Return the delay, in s, before a bird announces a new state for other processes to fetch.
+
+    0 if the states must be sent at once: with a delay the flock would reach the maximum number of
+    states in transit to the recorder, and would wait.
+    """
+    birds = configuration.birds
+    longest = birds * steps_ahead(configuration, False) / (4 * FASTEST)
+    period = min(max(birds / FETCHES, SHORTEST_FETCH), LONGEST_FETCH, longest)
+    return period if period >= SHORTEST_FETCH else 0.0

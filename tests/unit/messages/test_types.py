@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of every message: laid out as CDR says, read back as written, refused when broken."""
+"""The bytes of every message follow CDR, are read back as written, and are refused when broken."""
 
 import struct
 import tracemalloc
@@ -11,8 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import (
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation, perturbations
+from flock_sim.messages.types import (
     FRAME,
     Checkpoint,
     Grant,
@@ -25,7 +26,6 @@ from flock_sim.core.messages import (
     Time,
     Wing,
 )
-from flock_sim.core.perturbation import Perturbation
 
 whole32, whole64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
 signed32, signed64 = st.integers(-(2**31), 2**31 - 1), st.integers(-(2**63), 2**63 - 1)
@@ -320,7 +320,14 @@ def test_a_push_says_what_is_done():
     perturbation = Perturbation(step=500, bird=4, member=2, position=0.1, speed=-0.01)
     message = Push.of(7, 3, perturbation)
     assert (message.run_id, message.number, message.bird, message.member) == (7, 3, 4, 2)
-    assert Push.decode(message.encode()).perturbation == perturbation
+    assert Push.decode(message.encode()).each(2) == [perturbation]
+    assert str(message) == "4:2@500=0.1,-0.01"
+
+
+def test_one_push_may_be_of_all_members():
+    message = Push(7, 500, 0.1, -0.01, 3, 4, 0)
+    assert [(push.member, push.bird) for push in message.each(3)] == [(1, 4), (2, 4), (3, 4)]
+    assert list(perturbations([str(message)], 4, 3, 500)) == message.each(3)
 
 
 def test_layout_of_the_clock():
@@ -359,7 +366,8 @@ def test_run_and_epoch_of_an_encoded_state_are_read_and_taken_out_without_decodi
 def test_the_length_of_a_state_is_known_beforehand(members):
     some = np.ones(members)
     state = State.at(FlockConfiguration(), 0, some, some, some, some)
-    assert len(state.encode()) == State.size(members)
+    assert State.lengths(members).size == len(state.encode())
+    assert State.lengths(members).unpack(state.encode()) == 4 * (members,)
 
 
 @pytest.mark.parametrize("length", [0, 4, 27, 35])

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stage message where it lies is the BirdStage that everybody else decodes."""
+"""The in-place layout of a stage message is the BirdStage that others decode."""
 
 import numpy as np
 import pytest
 
-from flock_sim.core.messages import Stage
-from flock_sim.core.stage_message import (
+from flock_sim.messages.stage_layout import (
     HEADER,
     HEADER_AT,
     stage_bytes,
@@ -13,6 +12,7 @@ from flock_sim.core.stage_message import (
     stage_numbers,
     stage_words,
 )
+from flock_sim.messages.types import Stage
 
 
 def lying(members: int) -> tuple[np.ndarray, memoryview]:
