@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one exception that Flock raises for what its user can mend."""
+"""The exception for errors that the user can correct, and hints for its message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
 
 
 class FlockError(Exception):
-    """Bad input or a run that failed for a reason worth one clear line.
+    """Bad input, or a run that failed for a reason that one line can explain.
 
     The message names the value, the allowed range and the fix; the command line prints it after
     `error: ` and exits with `exit_status`: 2 for bad input, 1 for a run that failed.
@@ -13,6 +17,16 @@ class FlockError(Exception):
 
 
 class RunFailed(FlockError):
-    """A run that began well and could not be finished: exit status 1."""
+    """A run that started and could not be finished: exit status 1."""
 
     exit_status = 1
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the hint of an error message: the known word nearest to `word`, and all of them."""
+    import difflib  # for errors only
+
+    known = list(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}known are {', '.join(known)}"

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The keys of the text of a link, and the values that they may have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+FORM = "[SOURCE->TARGET=]MODEL[:KEY=VALUE[/VALUE...],...]"
+EXAMPLE = "hold:interval=10,delay=5"
+
+SEPARATOR = "/"
+"""Separator of the values of members. Commas separate keys."""
+
+LONGEST = 10000
+"""Longest delay and largest jitter, in steps: a bird remembers all messages in transit."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The values that a key may have."""
+
+    told: str
+    holds: Callable[[float], bool]
+    default: float = 0.0
+
+
+def _whole(value: float) -> bool:
+    return math.isfinite(value) and value == math.floor(value)
+
+
+_STEPS = Range(f"a whole number of steps, 0..{LONGEST}", lambda v: _whole(v) and 0 <= v <= LONGEST)
+_SIZE = Range("finite, 0 or more", lambda v: 0.0 <= v < math.inf)
+
+FAULTS = {
+    "delay": _STEPS,
+    "jitter": _STEPS,
+    "drop": Range("a probability of [0, 1)", lambda v: 0.0 <= v < 1.0),
+    "position_noise": _SIZE,
+    "speed_noise": _SIZE,
+    "position_quantum": _SIZE,
+    "speed_quantum": _SIZE,
+    "range": Range("above 0", lambda v: v > 0.0, math.inf),
+    "timeout": Range(
+        "a whole number of steps, 0 or more, or inf",
+        lambda v: v >= 0.0 and (_whole(v) or v == math.inf),
+        math.inf,
+    ),
+    "seed": Range("a whole number, 0..2^53", lambda v: _whole(v) and 0 <= v <= 2**53),
+}
+"""The faults of a link, in the order of the rows of `Settings.faults`."""
+
+DELAY, JITTER, DROP = 0, 1, 2
+POSITION_NOISE, SPEED_NOISE, POSITION_QUANTUM, SPEED_QUANTUM = 3, 4, 5, 6
+RANGE, TIMEOUT, SEED = 7, 8, 9
+
+BOTH = {
+    "noise": ("position_noise", "speed_noise"),
+    "quantum": ("position_quantum", "speed_quantum"),
+}
+"""Keys that set two faults at once."""
+
+INTERVAL = "interval"
+STEPS_BETWEEN = Range("a whole number of steps, 1 or more", lambda v: _whole(v) and v >= 1, 1.0)
+
+KEYS = (INTERVAL, *FAULTS, *BOTH)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All link models. A new model is a file of its own and a line here, or it is registered."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from flock_sim.errors import FlockError
+from flock_sim.links.exact import EXACT
+from flock_sim.links.hold import HOLD
+from flock_sim.links.linear import LINEAR
+from flock_sim.links.models import LinkModel, Perceive
+
+MODELS = [
+    EXACT,
+    HOLD,
+    LINEAR,
+]
+
+BUILT_IN = len(MODELS)
+"""Number of models that every process has; `register` appends others."""
+
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+
+
+def register(model: LinkModel) -> None:
+    """Add `model` in this process, for all flocks that are configured from now on.
+
+    Its `perceive` may be a plain function, which is compiled here. Raises FlockError if it can't be
+    compiled, or if the name is taken or invalid.
+    """
+    called = f"link model {model.name!r}"
+    if not NAME.fullmatch(model.name):
+        raise FlockError(f"{called}: must be a letter and then a-z, 0-9 or _, such as fading")
+    if model.name in [other.name for other in MODELS]:
+        raise FlockError(f"{called} is there already: give the new one another name")
+    MODELS.append(replace(model, perceive=_compiled(called, model.perceive)))
+
+
+def _compiled(called: str, function: Perceive) -> Perceive:
+    """Compile the perceive function of a model, and try it. Raises FlockError if that fails."""
+    # Imported here: a process that only reads the names of models needs no numba.
+    from numba.core.errors import NumbaError
+
+    from flock_sim.physics.compile import anew
+
+    compiled = anew(function)
+    try:
+        known = compiled(0.0, 0.0, 1.0, 0.5, 0.0)
+    except (NumbaError, TypeError) as error:
+        reason = next((line for line in str(error).splitlines()[1:] if line.strip()), str(error))
+        raise FlockError(
+            f"{called}: its perceive can't be compiled ({reason.strip()}); take numbers only, see "
+            "docs/extending.md"
+        ) from error
+    if not (isinstance(known, tuple) and list(map(type, known)) == [float, float]):
+        raise FlockError(
+            f"{called}: its perceive gives {known!r}: must be a position and a circulation"
+        )
+    return compiled

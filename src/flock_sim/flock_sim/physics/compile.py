@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compilation of loops over numbers."""
+
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, TypeVar, cast
+
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.compiler import numba
+from flock_sim.physics.kernel_cache import PACKAGE, KernelCache
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+RULES = {"error_model": "numpy", "fastmath": False, "nogil": True}
+"""Options of numba for all kernels."""
+
+
+def kernel(function: Function) -> Function:
+    """Compile a loop over numbers; the compiled code of this package's kernels is kept on disk.
+
+    Arithmetic follows IEEE 754 strictly: no `fastmath`, so that every caller gets the same bits,
+    and 1/0 = inf, so that a diverging member does not stop the others. Loops release the global
+    interpreter lock, so threads can share the members of an ensemble.
+    """
+    compiled: Function = numba.njit(**RULES)(function)
+    if _can_be_kept(function):
+        compiled._cache = KernelCache(function)  # type: ignore[attr-defined]
+    return compiled
+
+
+def anew(function: Function, **callees: Callable[..., object]) -> Function:
+    """Compile a function, or recompile a kernel, by the same rules, for this process only.
+
+    `callees` replace the functions that it calls by these names. The code on disk does not have
+    these replacements.
+    """
+    plain: Any = getattr(function, "py_func", function)
+    names = {**plain.__globals__, **callees}
+    copy = FunctionType(
+        plain.__code__, names, plain.__name__, plain.__defaults__, plain.__closure__
+    )
+    # numba numbers functions of equal names in each process, and code from disk has the number of
+    # another process. Code with the name and the number of this copy would be run instead of it.
+    copy.__qualname__ = f"anew.{plain.__qualname__}"
+    compiled: Function = numba.njit(**RULES)(copy)
+    return compiled
+
+
+def elementwise(function: Callable[..., float]) -> Callable[..., FloatArray]:
+    """Compile a function of numbers into a function of arrays, by the same rules."""
+    compiled: Any = numba.vectorize(function)
+    if _can_be_kept(function):
+        compiled._dispatcher.cache = KernelCache(function)
+    return cast(Callable[..., FloatArray], compiled)
+
+
+def _can_be_kept(function: Callable[..., object]) -> bool:
+    """Whether a function is of this package and has no closure: the sources define it fully."""
+    plain: Any = function
+    return plain.__closure__ is None and plain.__module__.startswith(f"{PACKAGE.name}.")

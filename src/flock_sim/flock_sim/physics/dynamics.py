@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The equation of motion of one bird and its time step, as functions that all kernels share.
+
+The distributed flight and the reference call the same functions in the same order. Therefore their
+results agree bit for bit.
+"""
+
+from flock_sim.physics.aerodynamics import ahead_integral
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.compile import kernel
+from flock_sim.physics.interaction import PER_FOUR_PI
+from flock_sim.physics.runge_kutta import TABLEAU
+
+
+@kernel
+def circulation_at(speed: float, coefficient: float) -> float:
+    """Return Gamma_j = lambda_j^2 Gamma_min / U_j, in b U_min. Eq. (Gamma), scaled."""
+    return coefficient / speed
+
+
+@kernel
+def acceleration(
+    speed: float, drag: float, mass: float, thrust: float, profile: float, induced: float
+) -> float:
+    """Return dU_j/dt = (T_j - D_j - sum_i D_ij) / m_j, in U_min^2 / b. Eq. (eom3).
+
+    `drag` is the interaction drag sum_i D_ij; D_j = profile U^2 + induced U^-2.
+    """
+    square = speed * speed
+    return (thrust - (profile * square + induced / square) - drag) / mass
+
+
+@kernel
+def drag_of_pair(
+    x: float,
+    lateral: float,
+    half: float,
+    other_half: float,
+    even: float,
+    circulation: float,
+    other_circulation: float,
+) -> tuple[float, float]:
+    """Return the interaction drags (on the bird, on the other), in rho b^2 U_min^2. Eq. (Djk2).
+
+    `x` is the other's position minus the bird's, `lateral` their lateral distance,
+    `half` and `other_half` their vortex half-spans, all in b; `even` is E of the pair.
+    """
+    strength = circulation * other_circulation * PER_FOUR_PI
+    ahead = ahead_integral(abs(x), lateral, half, other_half)
+    behind = 2.0 * even - ahead
+    if x > 0.0:
+        return strength * behind, strength * ahead
+    if x < 0.0:
+        return strength * ahead, strength * behind
+    return strength * ahead, strength * ahead  # side by side: both get E, in either order
+
+
+@kernel
+def stage_value(start: float, dt: float, slopes: FloatArray, row: int, k: int) -> float:
+    """Return the value of quantity `k` at stage `row`, or at the end of the step for row 4.
+
+    `start` is its value at the beginning of the step, `slopes` has shape (stages, quantities).
+    """
+    total = 0.0
+    for stage in range(row):
+        total += TABLEAU[row, stage] * slopes[stage, k]
+    return start + dt * total

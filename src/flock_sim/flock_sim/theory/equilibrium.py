@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steady state of any flock: whether a formation exists, its shape, and its margin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.errors import RunFailed
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock import Flock
+from flock_sim.theory import nearest
+from flock_sim.theory.steady_speed import balances
+
+TIE = 1e-9
+"""Largest difference of the margins of two gaps that count as equally weak."""
+
+CLOSEST_START = 0.02
+"""Least distance of shares from 0 or 1 at the start of the search for the all-to-all state."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """The steady states of an ensemble; nan if none exists."""
+
+    exists: npt.NDArray[np.bool_]
+    """Whether the flock can fly in formation, shape (members,)."""
+    speed: FloatArray
+    """U*, shape (members,), in U_min."""
+    balanced_speed: FloatArray
+    """The speed at which all forces sum to 0, shape (members,): U*, if a formation exists.
+
+    nan if thrust balances drag at no speed.
+    """
+    spacing: FloatArray
+    """x_{i+1} - x_i, shape (birds - 1, members), in b."""
+    share: FloatArray
+    """The share of birds 1..i in the saving across gap i, shape (birds - 1, members).
+
+    It is in (0, 1) if a formation exists; with nearest-neighbour coupling it is D_{i+1,i} / C_i. If
+    no formation exists, it is the share that a balance of forces at U* would need.
+    """
+    margin: FloatArray
+    """Least distance of a share from 0 or 1, shape (members,): below 0 if no formation exists.
+
+    With all-to-all coupling, birds that are not neighbours can fall behind together. If they do,
+    the excess of their share over 1 counts as well. The margin of a single bird is inf.
+    """
+    drag_reduction: FloatArray
+    """eta_i = -(sum_j D_ji) / D_0, shape (birds, members)."""
+
+    @property
+    def weakest_gap(self) -> npt.NDArray[np.int64]:
+        """The gap whose share is nearest to 0 or 1, shape (members,).
+
+        Gap i is between birds i and i + 1. Of equally weak gaps, such as a gap and its mirror
+        image, it is the first. It is 0 for a bird alone, and if no speed balances thrust and drag.
+        """
+        if not len(self.share):
+            return np.zeros(len(self.exists), dtype=np.int64)
+        margin = distance_from_end(self.share)
+        first = np.argmax(margin <= margin.min(axis=0) + TIE, axis=0) + 1
+        return np.where(np.isnan(margin).any(axis=0), 0, first)
+
+
+def equilibrium(flock: Flock) -> Equilibrium:
+    """Return the steady states of all members of `flock`: exact for `nearest`, Newton for `all`.
+
+    Raises RunFailed if Newton's method neither finds a state nor proves that none exists.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # a member that overflows is nan
+        return _equilibrium(flock)
+
+
+def _equilibrium(flock: Flock) -> Equilibrium:
+    if flock.coupling == "nearest" or flock.birds == 1:
+        square, share = nearest_shares(flock)
+        margin = distance_from_end(share).min(axis=0, initial=np.inf)
+        spacing = np.empty_like(share)
+        nearest.fill_spacings(flock.span_ratio, share, spacing)
+    else:
+        square, share, spacing, margin = _all_to_all(flock)
+    exists = (margin > 0.0) & np.isfinite(square)
+    known = np.where(exists, square, np.nan)
+    spacing[:, ~exists] = np.nan
+    ratio = flock.scales.cruise_ratio
+    return Equilibrium(
+        exists=exists,
+        speed=np.sqrt(known),
+        balanced_speed=np.sqrt(square),
+        spacing=spacing,
+        share=share,
+        margin=margin,
+        # 0.0 - balance, not -balance: a bird alone saves 0, not -0.
+        drag_reduction=(0.0 - balances(flock.span_ratio, known, ratio)) / (2.0 * ratio),
+    )
+
+
+def nearest_shares(flock: Flock) -> tuple[FloatArray, FloatArray]:
+    """Return U*^2 (members,) and the shares (birds - 1, members) of nearest-neighbour coupling."""
+    square = np.empty(flock.members)
+    share = np.empty((flock.birds - 1, flock.members))
+    scales = flock.scales
+    nearest.fill_shares(flock.span_ratio, scales.cruise_ratio, scales.saving_ratio, square, share)
+    return square, share
+
+
+def distance_from_end(share: FloatArray) -> FloatArray:
+    """Return the distance of shares from the nearer of 0 and 1; below 0 outside of (0, 1)."""
+    distance: FloatArray = np.minimum(share, 1.0 - share)
+    return distance
+
+
+def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return U*^2, shares, spacings and margins of all-to-all coupling."""
+    from flock_sim.theory import all_to_all  # kernels not used for `nearest`
+
+    square = np.empty(flock.members)
+    share = np.empty((flock.birds - 1, flock.members))
+    strength, needed = np.empty_like(flock.even), np.empty_like(flock.span_ratio)
+    all_to_all.fill_shares(
+        flock.span_ratio,
+        flock.pairs,
+        flock.even,
+        flock.scales.cruise_ratio,
+        0.5 * flock.scales.saving_ratio,
+        square,
+        strength,
+        needed,
+        share,
+    )
+    margin = distance_from_end(share).min(axis=0, initial=np.inf)
+    spacing = np.empty_like(share)
+    near = np.clip(nearest_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
+    nearest.fill_spacings(flock.span_ratio, near, spacing)
+    start = formation.positions(np.nan_to_num(spacing))
+    for m in np.flatnonzero(margin > 0.0):
+        position = start[:, m].copy()
+        end, largest = all_to_all.settle(
+            position,
+            needed[:, m].copy(),
+            flock.half_span[:, m].copy(),
+            flock.pairs,
+            flock.lateral[:, m].copy(),
+            flock.even[:, m].copy(),
+            strength[:, m].copy(),
+        )
+        if end == all_to_all.NOT_CONVERGED:
+            raise RunFailed(
+                f"member {m + 1}: Newton's method neither found a steady state nor showed that "
+                f"there is none, in {all_to_all.MOST_ITERATIONS} iterations; its margin is below "
+                f"{margin[m]:.3g}"
+            )
+        if end == all_to_all.PARTED:
+            margin[m] = min(margin[m], 1.0 - largest)
+        spacing[:, m] = np.diff(position)
+    return square, share, spacing, margin

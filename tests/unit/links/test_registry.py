@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Link models from outside the package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import FlockError
+from flock_sim.launcher.precompile import warm_links
+from flock_sim.links import registry
+from flock_sim.links.channel import hear, hearing
+from flock_sim.links.models import LinkModel
+from flock_sim.links.registry import register
+from flock_sim.messages.types import Checkpoint, Grant, State, Wing
+from flock_sim.protocol.bird import BirdProtocol, Channel
+from flock_sim.reference.integrator import Reference
+
+FAULTS = "interval=3,delay=2,jitter=1,drop=0.2,noise=0.001,timeout=30"
+
+
+@pytest.fixture(autouse=True)
+def only_here() -> Iterator[None]:
+    yield
+    del registry.MODELS[registry.BUILT_IN :]
+
+
+def frozen(age, position, speed, circulation, rate):
+    return position, circulation
+
+
+def moved(age, position, speed, circulation, rate):
+    return position + speed * age, circulation + rate * age
+
+
+def flown(*links: str) -> np.ndarray:
+    configuration = FlockConfiguration(birds=3, t_max=200.0, record_every=1, links=links)
+    return np.stack([state.speed for state in Reference(configuration).fly()])
+
+
+def test_models_that_do_what_built_in_ones_do_make_the_same_flight_to_the_bit():
+    register(LinkModel("frozen", frozen))
+    register(LinkModel("moved", moved))
+    mine = flown(f"frozen:{FAULTS}", f"2->1=moved:{FAULTS}", "3->2=exact")
+    builtin = flown(f"hold:{FAULTS}", f"2->1=linear:{FAULTS}", "3->2=exact")
+    np.testing.assert_array_equal(mine, builtin)
+    assert not np.array_equal(mine, flown(f"frozen:{FAULTS}", "3->2=exact"))
+
+
+def test_a_registered_model_is_compiled_before_a_flight():
+    """A bird that compiled in flight would keep the others waiting for seconds."""
+    register(LinkModel("slow", frozen))
+    flock = FlockConfiguration(birds=5, t_max=100.0, links=("slow:interval=5",))
+    listening = BirdProtocol(3, flock, run_id=1)._receiver._listen
+    assert not listening.signatures
+    warm_links(flock)
+    assert listening.signatures
+
+
+def test_a_bird_asks_the_registered_model_too():
+    """It knows a neighbour without a wake, and so flies as if it were alone."""
+    register(LinkModel("calm", lambda age, position, speed, circulation, rate: (position, 0.0)))
+    flight = {"t_max": 20.0, "record_every": 5}
+    flock = FlockConfiguration(birds=2, links=("calm:interval=20",), **flight)
+    pair = [BirdProtocol(number, flock, run_id=1) for number in (1, 2)]
+    alone = BirdProtocol(1, FlockConfiguration(birds=1, **flight), run_id=1)
+    said = []
+    for bird in (*pair, alone):
+        bird.receive_grant(Grant(run_id=1, step=0, end=20, dt=1.0, epoch=1))
+        for other in bird.neighbours:
+            bird.receive_wing(Wing(1, other, flock.span_ratio[other - 1]))
+        said.append(bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1)))
+        said[-1] += bird.receive_grant(Grant(run_id=1, step=20, end=20, dt=1.0, epoch=1))
+    for channel, data in said[1]:
+        if channel is Channel.STAGE:
+            said[0] += pair[0].receive_stage(data)
+    speeds = [
+        {
+            state.step: state.speed.tobytes()
+            for channel, data in told
+            if channel is Channel.STATE and (state := State.decode(data))
+        }
+        for told in said
+    ]
+    assert list(speeds[0]) == [0, 5, 10, 15]  # at step 20 the other has something to say again
+    assert speeds[0].items() <= speeds[2].items()
+
+
+def test_without_any_the_kernels_are_those_on_disk():
+    assert hearing() is hear
+    register(LinkModel("frozen", frozen))
+    assert hearing() is not hear
+    assert hearing() is hearing()
+
+
+@pytest.mark.parametrize("name", ["hold", "Fading", "a:b", "", "3->4", "a b"])
+def test_names_that_cannot_be_are_refused(name):
+    with pytest.raises(FlockError, match=r"there already|must be a letter"):
+        register(LinkModel(name, frozen))
+    assert len(registry.MODELS) == registry.BUILT_IN
+
+
+@pytest.mark.parametrize(
+    ("perceive", "why"),
+    [
+        (lambda age, position, speed, circulation, rate: position, "gives 0.0"),
+        (lambda age, position, speed, circulation, rate: (position, 1), r"gives \(0.0, 1\)"),
+        (lambda age, position, speed, circulation: (position, circulation), "expected 4, got 5"),
+        (lambda age, position, speed, circulation, rate: print(age), "gives None"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_one_line(perceive, why):
+    with pytest.raises(FlockError, match=f"^link model 'mine'.*{why}") as refusal:
+        register(LinkModel("mine", perceive))
+    assert "\n" not in str(refusal.value)
+    assert len(registry.MODELS) == registry.BUILT_IN
