@@ -31,7 +31,7 @@ Entries = Iterable[tuple[int, list[int]]]
 
 @dataclass(frozen=True)
 class ChunkSummary:
-    """What the summary of a file says about a chunk."""
+    """The entry of a chunk in the summary of a file."""
 
     index: bytes  # its ChunkIndex record
     start_time: int  # ns, of its earliest message
@@ -52,7 +52,7 @@ def seal(
 ) -> SealedChunk:
     """Compress and index `body`, not empty, for a chunk that will begin at byte `offset`.
 
-    `body` is a sequence of message records, `entries` tells where they are.
+    `body` is a sequence of message records, `entries` has their offsets.
     """
     packed = compressor.compress(body)
     head = chunk_head(body, entries, len(packed))
@@ -61,7 +61,7 @@ def seal(
 
 
 def chunk_head(body: bytes | bytearray, entries: Entries, packed_size: int) -> bytes:
-    """Make what precedes the compressed body, of `packed_size` bytes, in a chunk's record."""
+    """Make the part of a chunk's record before the compressed body of `packed_size` bytes."""
     channels = [flat for _, flat in entries if flat]
     return _CHUNK.pack(
         Opcode.CHUNK,
@@ -90,7 +90,7 @@ def message_indexes(entries: Entries) -> bytes:
 def summarise(head: bytes, indexes: bytes, offset: int) -> ChunkSummary:
     """Summarise the chunk at byte `offset` from its first bytes and its message indexes.
 
-    Raises ValueError where these do not fit together.
+    Raises ValueError if these do not fit together.
     """
     try:
         _, length, start, end, size, _, _, _, packed_size = _CHUNK.unpack_from(head)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions as a bag embeds them, from the installed ROS packages."""
+"""Message definitions for a bag, from the installed ROS packages."""
 
 import json
 import re
@@ -24,7 +24,7 @@ _PRIMITIVES = frozenset(
 
 @dataclass(frozen=True)
 class Definition:
-    """What a bag says about a message type.
+    """The definition of a message type in a bag.
 
     `text` is the ros2msg schema with every nested definition, `type_hash` the REP-2016 type
     description hash ("RIHS01_...").
@@ -41,7 +41,7 @@ def installed_definition(type_name: str) -> Definition:
     Nested definitions follow the type's own text in the order and format of rosbag2: depth
     first, alphabetical within a type, each once, after a line of 80 "=" and "MSG: package/Type".
 
-    Raises FlockError when the package or the type is not installed where the environment points.
+    Raises FlockError if the environment does not have the package or the type.
     """
     return Definition(type_name, _text(type_name), _type_hash(type_name))
 

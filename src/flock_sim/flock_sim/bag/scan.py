@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in an MCAP file without a sound summary, found by going from record to record."""
+"""The contents of an MCAP file without a sound summary, found by a pass over its records."""
 
 import os
 from contextlib import suppress
@@ -7,8 +7,9 @@ from contextlib import suppress
 from mcap.opcode import Opcode
 
 from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS
-from flock_sim.bag.contents import Contents
-from flock_sim.bag.frames import (
+from flock_sim.bag.file_sections import MAGIC
+from flock_sim.bag.index import Contents
+from flock_sim.bag.records import (
     CHUNK_TIMES,
     FRAME,
     ChunkPlace,
@@ -18,16 +19,16 @@ from flock_sim.bag.frames import (
     read_frame,
     records_in,
 )
-from flock_sim.bag.layout import MAGIC
+from flock_sim.bag.salvage import goes_on
 
 _DEFINING = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 
 
 def scanned(fd: int) -> Contents:
-    """Read the contents up to the last record that is whole.
+    """Read the contents up to the last whole record.
 
-    Chunks at the end that are damaged are left out. `missing` tells how many bytes of data are
-    not used, or is None. Reads no chunk but the last, unless chunks bring their own definitions.
+    Damaged chunks at the end are left out. `missing` tells how many bytes of data are not used, or
+    is None. Only the last chunk is read, unless chunks contain their own definitions.
     """
     size = os.fstat(fd).st_size
     contents = Contents(whole=len(MAGIC))
@@ -35,15 +36,22 @@ def scanned(fd: int) -> Contents:
     _drop_damaged_tail(fd, contents)
     _learn_from_chunks(fd, contents)
     for place in contents.chunks:
-        contents.meet(place.end_time)
+        if place.end_time or place.channels:  # a chunk without messages has no times
+            contents.meet(place.start_time)
+            contents.meet(place.end_time)
     lost = data_end - contents.whole
-    if lost:
+    if lost and goes_on(fd, contents.whole):
+        contents.missing = (
+            f"byte {contents.whole} is damaged, and only ./flock repair reads the {lost} bytes of"
+            " data from there on"
+        )
+    elif lost:
         contents.missing = f"the last {lost} bytes of data are not whole and are left out"
     return contents
 
 
 def _walk(fd: int, size: int, contents: Contents) -> int:
-    """Take in the records as far as they are whole; returns where the data should end."""
+    """Add the records up to the first that is not whole; return where the data should end."""
     indexed: set[int] = set()  # channels of the chunk before
     with suppress(DamagedError):
         while frame := read_frame(fd, contents.whole):
@@ -75,7 +83,7 @@ def _walk(fd: int, size: int, contents: Contents) -> int:
 
 
 def _drop_damaged_tail(fd: int, contents: Contents) -> None:
-    """Leave out chunks at the end that a power cut kept from being written out as a whole."""
+    """Leave out chunks at the end that were not completely written because of a power cut."""
     while contents.chunks:
         try:
             read_chunk(fd, contents.chunks[-1])
@@ -85,9 +93,9 @@ def _drop_damaged_tail(fd: int, contents: Contents) -> None:
 
 
 def _learn_from_chunks(fd: int, contents: Contents) -> None:
-    """Find the definitions that are nowhere but in chunks, as most writers but ours place them."""
+    """Find definitions that are only in chunks, where most other writers place them."""
     for place in contents.chunks:
         if not place.channels or not place.channels <= contents.channels.keys():
-            with suppress(DamagedError):  # told when its messages are read
+            with suppress(DamagedError):  # reported when its messages are read
                 for opcode, content in records_in(read_chunk(fd, place)):
                     contents.define(opcode, content)

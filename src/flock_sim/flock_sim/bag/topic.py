@@ -11,7 +11,7 @@ Reliability = Literal["reliable", "best_effort", "system_default"]
 Durability = Literal["volatile", "transient_local", "system_default"]
 History = Literal["keep_last", "keep_all", "system_default"]
 
-# What ROS writes where no deadline, lifespan or lease is set: the longest time, 2**63 - 1 ns.
+# The value in ROS for no deadline, lifespan or lease: the longest time, 2**63 - 1 ns.
 _FOREVER = (9223372036, 854775807)
 
 
@@ -31,7 +31,7 @@ class Topic:
     depth: int = 10
 
     def qos_profiles(self) -> list[dict[str, Any]]:
-        """List the offered QoS profiles as rosbag2's metadata of version 9 does."""
+        """List the offered QoS profiles as in rosbag2's metadata of version 9."""
 
         def forever() -> dict[str, int]:
             return dict(zip(("sec", "nsec"), _FOREVER, strict=True))
@@ -51,7 +51,7 @@ class Topic:
         ]
 
     def qos_text(self) -> str:
-        """Give the same as YAML text, which rosbag2 keeps in the MCAP channel's metadata."""
+        """Return the QoS profiles as YAML text, which rosbag2 puts into a channel's metadata."""
         return _qos_text(self.reliability, self.durability, self.history, self.depth)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in an MCAP file, as its summary tells it."""
+"""The contents of an MCAP file, read from its summary."""
 
 import os
 import zlib
@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
 
-from flock_sim.bag.frames import (
+from flock_sim.bag.file_sections import MAGIC
+from flock_sim.bag.records import (
     FRAME,
     ChunkPlace,
     DamagedError,
@@ -17,20 +18,20 @@ from flock_sim.bag.frames import (
     read_frame,
     records_in,
 )
-from flock_sim.bag.layout import MAGIC
 
 _FOOTER_SIZE = FRAME.size + 20  # bytes
 _END_SIZE = _FOOTER_SIZE + len(MAGIC)
-_CRC_SIZE = 4
+CRC_SIZE = 4
+"""Size of a CRC in the footer and in the record that ends the data, in bytes."""
 
 
 @dataclass
 class Contents:
     """The inventory of one MCAP file.
 
-    `loose` says that there are messages outside of chunks, which only reading on finds; `whole`
-    is where the last whole record of the data ends, in bytes; `missing` is None for a file that
-    is as its writer meant it, or some words on what is not there.
+    `loose`: the file has messages outside of chunks, which only a pass over the records finds.
+    `whole`: end of the last whole record of the data, in bytes. `missing`: None for a complete
+    file, or some words on what is missing.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -38,13 +39,14 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     counts: dict[int, int] | None = None  # messages by channel, where there is a summary
+    first_time: int | None = None  # ns, the earliest log time; None without messages
     last_time: int | None = None  # ns, the latest log time; None without messages
     loose: bool = False
     whole: int = 0
     missing: str | None = None
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Take in a schema, channel or metadata record, no other; raises DamagedError."""
+        """Add a schema, channel or metadata record, and ignore others; raises DamagedError."""
         if opcode == Opcode.SCHEMA:
             schema: Schema = parse(Schema.read, content)
             self.schemas[schema.id] = schema
@@ -56,21 +58,22 @@ class Contents:
             self.metadata[record.name] = record.metadata
 
     def meet(self, time: int) -> None:
-        """Take note of a log time in ns."""
+        """Extend the range of log times to `time`, in ns."""
+        self.first_time = time if self.first_time is None else min(self.first_time, time)
         self.last_time = time if self.last_time is None else max(self.last_time, time)
 
 
 def has_end(fd: int) -> bool:
-    """Tell whether the file ends as its writer ends it: with a footer and the magic."""
+    """Tell whether the file ends with a footer and the magic, as a complete file does."""
     size = os.fstat(fd).st_size
     end = os.pread(fd, _END_SIZE, max(0, size - _END_SIZE))
     return end[:1] == bytes([Opcode.FOOTER]) and end.endswith(MAGIC)
 
 
 def summarised(fd: int) -> Contents | None:
-    """Read the summary of a file that has its end; None where it does not tell everything.
+    """Read the summary of a file that has its end; None if the summary is absent or incomplete.
 
-    Raises DamagedError where there is a summary that is not sound.
+    Raises DamagedError if the summary is damaged.
     """
     end = os.fstat(fd).st_size - _END_SIZE
     footer: Footer = parse(Footer.read, read_content(fd, end, _FOOTER_SIZE - FRAME.size))
@@ -80,12 +83,12 @@ def summarised(fd: int) -> Contents | None:
         raise DamagedError("it begins after its end")
     block = os.pread(fd, end + _FOOTER_SIZE - footer.summary_start, footer.summary_start)
     # The CRC covers the summary and the footer up to the CRC itself, its last field.
-    if footer.summary_crc and zlib.crc32(block[:-_CRC_SIZE]) != footer.summary_crc:
+    if footer.summary_crc and zlib.crc32(block[:-CRC_SIZE]) != footer.summary_crc:
         raise DamagedError("its CRC does not fit")
 
     contents = Contents(whole=footer.summary_start)
     statistics: Statistics | None = None
-    sets: dict[frozenset[int], frozenset[int]] = {}  # one of each: most chunks have the same
+    sets: dict[frozenset[int], frozenset[int]] = {}  # shared sets: most chunks have equal ones
     for opcode, content in records_in(block[:-_FOOTER_SIZE]):
         contents.define(opcode, content)
         if opcode == Opcode.STATISTICS:
@@ -119,5 +122,7 @@ def summarised(fd: int) -> Contents | None:
     contents.chunks.sort()  # by offset: the order of the file
     contents.counts = statistics.channel_message_counts
     contents.loose = statistics.message_count > 0 and not contents.chunks
-    contents.last_time = statistics.message_end_time if statistics.message_count else None
+    if statistics.message_count:
+        contents.meet(statistics.message_start_time)
+        contents.meet(statistics.message_end_time)
     return contents

@@ -11,9 +11,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from flock_sim.bag.definitions import Definition, installed_definition
-from flock_sim.bag.reader import BagReader
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
+from flock_sim.bag.writing.writer import BagWriter
 
 STATE = "flock_interfaces/msg/BirdState"
 TOPICS = [

@@ -1,27 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `BagWriter` left behind in a file that it began, for it to go on with."""
+"""The content of an incomplete file of `BagWriter`, which `BagWriter` can resume."""
 
 import os
-import zlib
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from flock_sim.bag.chunk import (
-    CHUNK_HEAD,
-    MESSAGE,
-    MESSAGE_FIELDS,
-    chunk_head,
-    message_indexes,
-    summarise,
-)
-from flock_sim.bag.frames import FRAME, ChunkPlace, DamagedError, read_chunk, records_in
-from flock_sim.bag.layout import Written
+from flock_sim.bag.chunk import CHUNK_HEAD, MESSAGE_FIELDS, summarise
+from flock_sim.bag.chunk_check import fits
+from flock_sim.bag.directory import NEW_FILE, is_recording
+from flock_sim.bag.file_sections import Written
+from flock_sim.bag.index import has_end
+from flock_sim.bag.reading.compression import FORMAT
+from flock_sim.bag.records import FRAME, ChunkPlace, DamagedError, crc_of, read_chunk, records_in
+from flock_sim.bag.salvage import goes_on
 from flock_sim.errors import FlockError
 
-_BLOCK = 1 << 20  # bytes read at once for the CRC
 _AHEAD = 1 << 17  # bytes read at once from record to record: the message indexes of most chunks
 _IN_HEAD = [bytes([opcode]) for opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)]
 _TIME_AT = 6  # in a message's fields: behind its channel (2 bytes) and its sequence (4)
@@ -36,7 +33,7 @@ class Extent(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message as `BagWriter.write` takes it."""
+    """A message with the arguments of `BagWriter.write`."""
 
     topic: int  # its place among the topics, from 0
     log_time: int  # ns
@@ -52,19 +49,20 @@ class Kept:
     crc: int  # of all of them
 
 
-class Begun:
-    """The whole chunks of a file, in order, as far as they follow its head without a gap.
+class PartialBag:
+    """The sound chunks of a file, in order, that follow its head without a gap.
 
-    `has_head` is False where the file ends within its head: nothing can be kept then. Memory:
-    one chunk, and some 200 bytes for each chunk in the file.
+    `has_head` is False if the file ends within its head: nothing can be kept then. `damage` is the
+    end of these chunks, in bytes, if the file is damaged there and more data follows; None if the
+    file is whole, or only ends too early. Memory: one chunk, and some 200 bytes for each chunk.
     """
 
     def __init__(self, fd: int, path: Path, head: bytes) -> None:
-        """Take stock of the file, which stays as it is.
+        """Read the whole file and find its sound chunks. The file does not change.
 
-        Raises FlockError where it begins with another head, OSError where it can't be read.
+        Raises FlockError if it begins with another head, OSError if it can't be read.
         """
-        self._fd = fd
+        self.fd = fd
         self._path = path
         self._head = len(head)
         found = os.pread(fd, len(head), 0)
@@ -72,16 +70,24 @@ class Begun:
         if not head.startswith(found) or following in _IN_HEAD:
             raise FlockError(
                 f"{path} can't be gone on with: it was begun with another configuration, other"
-                " topics or another version of Flock; give what it was begun with, or name"
-                " another directory"
+                " topics or another version of Flock, or its beginning is damaged; give what it was"
+                " begun with, or name another directory"
             )
         self.has_head = found == head
-        self.chunks = _walk(path, len(head)) if self.has_head else []
-        while self.chunks and not self._is_sound(self.chunks[-1]):
-            self.chunks.pop()
+        found_chunks = _walk(path, len(head)) if self.has_head else []
+        self.chunks = list(takewhile(self._is_sound, found_chunks))
+        self.damage = self._damage() if self.has_head else None
+
+    def _damage(self) -> int | None:
+        """Return the byte of the damage if data follows it; None if the file ends there."""
+        after = self.chunks[-1].end if self.chunks else self._head
+        at_end = os.pread(self.fd, 1, after) in (b"", bytes([Opcode.DATA_END]))
+        if at_end:
+            return None
+        return after if goes_on(self.fd, after) or has_end(self.fd) else None
 
     def messages(self, number: int) -> list[Message]:
-        """Read the messages of chunk `number`, from 0; raises FlockError where it is damaged."""
+        """Read the messages of chunk `number`, from 0; raises FlockError if it is damaged."""
         extent = self.chunks[number]
         try:
             return [
@@ -96,9 +102,9 @@ class Begun:
             raise self._damaged(extent, error) from error
 
     def keep(self, chunks: int) -> Kept:
-        """Sum up the file up to the end of its first `chunks` chunks, reading it once.
+        """Summarise the file up to the end of its first `chunks` chunks; it is read once.
 
-        Raises FlockError where it is damaged, OSError where it can't be read.
+        Raises FlockError if it is damaged, OSError if it can't be read.
         """
         written = Written()
         for extent in self.chunks[:chunks]:
@@ -108,29 +114,27 @@ class Begun:
             except ValueError as error:
                 raise self._damaged(extent, error) from error
         size = self.chunks[chunks - 1].end if chunks else self._head
-        return Kept(written, size, _crc(self._fd, size))
+        return Kept(written, size, crc_of(self.fd, size))
 
     def _body(self, extent: Extent) -> bytes:
         place = ChunkPlace(extent.offset, extent.length, 0, 0, frozenset())
-        return read_chunk(self._fd, place)
+        return read_chunk(self.fd, place)
 
     def _surroundings(self, extent: Extent) -> tuple[bytes, bytes]:
-        """Read what stands before and behind the compressed messages of a chunk."""
+        """Read the head of a chunk and the message indexes that follow it."""
         indexes_at = extent.offset + extent.length
         return (
-            os.pread(self._fd, CHUNK_HEAD, extent.offset),
-            os.pread(self._fd, extent.end - indexes_at, indexes_at),
+            os.pread(self.fd, CHUNK_HEAD, extent.offset),
+            os.pread(self.fd, extent.end - indexes_at, indexes_at),
         )
 
     def _is_sound(self, extent: Extent) -> bool:
-        """Whether all is there that `BagWriter` writes with the messages of a chunk."""
+        """Whether a chunk is undamaged and has the head and message indexes of `BagWriter`."""
         try:
             body = self._body(extent)
-            entries = _entries(body)
         except DamagedError:
             return False
-        head = chunk_head(body, entries, extent.length - CHUNK_HEAD)
-        return self._surroundings(extent) == (head, message_indexes(entries))
+        return fits(body, *self._surroundings(extent), extent.length - CHUNK_HEAD)
 
     def _damaged(self, extent: Extent, reason: ValueError) -> FlockError:
         return FlockError(
@@ -140,15 +144,24 @@ class Begun:
 
 
 def recorded_in(directory: Path) -> Path | None:
-    """Find the one recording in `directory`; None where there is none."""
+    """Find the recording in `directory`; None if there is none.
+
+    A new recording that has not yet replaced another one takes precedence.
+    """
     try:
-        files = [entry for entry in directory.iterdir() if entry.suffix == ".mcap"]
+        names = [entry.name for entry in directory.iterdir()]
     except FileNotFoundError:
         return None
     except OSError as error:
         raise FlockError(
             f"output {directory} can't be read ({error.strerror}): name another directory"
         ) from error
+    if NEW_FILE in names:
+        return directory / NEW_FILE
+    for name in names:
+        if name.endswith(f".{FORMAT}") and is_recording(name.removesuffix(f".{FORMAT}")):
+            raise FlockError(f"{directory} can't be gone on with: {name} is compressed: unpack it")
+    files = [directory / name for name in names if is_recording(name)]
     if len(files) > 1:
         raise FlockError(
             f"{directory} holds {len(files)} .mcap files: only a bag of one can be gone on with"
@@ -157,7 +170,7 @@ def recorded_in(directory: Path) -> Path | None:
 
 
 def _walk(path: Path, offset: int) -> list[Extent]:
-    """Find the chunks that follow each other from `offset` on, whole as far as lengths tell."""
+    """Find the consecutive chunks from `offset` on that are whole according to their lengths."""
     chunks: list[Extent] = []
     with path.open("rb", buffering=_AHEAD) as file:
         size = os.fstat(file.fileno()).st_size
@@ -176,25 +189,3 @@ def _walk(path: Path, offset: int) -> list[Extent]:
             offset = after
             file.seek(offset)
     return chunks
-
-
-def _entries(body: bytes) -> list[tuple[int, list[int]]]:
-    """Tell where the messages of a chunk's body are; raises DamagedError."""
-    entries: dict[int, list[int]] = {}
-    at = 0
-    for opcode, content in records_in(body):
-        if opcode != Opcode.MESSAGE or len(content) < MESSAGE_FIELDS:
-            raise DamagedError("a record in it is no message")
-        _, _, channel, _, log_time, _ = MESSAGE.unpack_from(body, at)
-        entries.setdefault(channel, []).extend((log_time, at))
-        at += FRAME.size + len(content)
-    if not entries:
-        raise DamagedError("it is empty")
-    return sorted(entries.items())
-
-
-def _crc(fd: int, size: int) -> int:
-    crc = 0
-    for at in range(0, size, _BLOCK):
-        crc = zlib.crc32(os.pread(fd, min(_BLOCK, size - at), at), crc)
-    return crc

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chunk in the making: messages that are not on disk yet."""
+"""The open chunk: messages that are not on disk yet."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,13 @@ from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS, MESSAGE_OPCODE, SealedC
 
 
 class OpenChunk:
-    """Messages by channel; what is added counts once it is taken, so that a group counts as one.
+    """Messages by channel. Added messages count from `take` on, so that a group counts as a whole.
 
-    `size` is of the messages taken, in bytes, uncompressed.
+    `size` is the uncompressed size of the taken messages, in bytes.
     """
 
     def __init__(self, topics: Sequence[str]) -> None:
-        """Be open to messages of `topics`, channels 1, 2, ..."""
+        """Accept messages of `topics`, channels 1, 2, ..."""
         # For each channel, [log time, offset in body, log time, offset in body, ...].
         self._entries: list[tuple[int, list[int]]] = [
             (channel, []) for channel in range(1, len(topics) + 1)
@@ -28,9 +28,9 @@ class OpenChunk:
     def add(
         self, topic: int | str, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        """Put a message at the end; `topic` is its name or its place, from 0.
+        """Append a message; `topic` is its name or its index, from 0.
 
-        Raises KeyError for an unknown topic, struct.error for what a message can't hold.
+        Raises KeyError for an unknown topic, struct.error for values that a message can't hold.
         """
         channel, entries = self._slots[topic]
         body = self._body
@@ -42,11 +42,11 @@ class OpenChunk:
         entries += (log_time, at)
 
     def take(self) -> None:
-        """Let count what was added."""
+        """Make all added messages count."""
         self.size = len(self._body)
 
     def drop_incomplete(self) -> None:
-        """Drop what was added and, since an exception came (Ctrl-C, say), not taken."""
+        """Drop messages that were added but, because of an exception such as Ctrl-C, not taken."""
         if len(self._body) == self.size:
             return
         for _, entries in self._entries:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A disk that fills up in mid-flight costs the last chunk, never the bag."""
+"""A disk that fills up in flight costs the last chunk, never the bag."""
 
 import errno
 import os
@@ -11,9 +11,9 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from flock_sim.bag.reader import BagReader
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
+from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.errors import RunFailed
 
 TOPICS = [Topic("/clock", "rosgraph_msgs/msg/Clock")]

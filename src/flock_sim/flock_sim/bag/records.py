@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP as it lies in a file: records framed by opcode and length, chunks of records."""
+"""The records of an MCAP file: each has a frame of opcode and length; chunks contain records."""
 
 import os
 import struct
@@ -17,30 +17,39 @@ from mcap.opcode import Opcode
 from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS, MESSAGE_OPCODE
 
 FRAME = struct.Struct("<BQ")  # opcode, length of the record that follows
-CHUNK_TIMES = struct.Struct("<QQ")  # what a chunk begins with: start and end time, ns
+CHUNK_TIMES = struct.Struct("<QQ")  # the beginning of a chunk: start and end time, ns
 _CHUNK_HEAD = struct.Struct("<QQQII")  # ... uncompressed size, CRC, length of compression's name
 _LENGTH = struct.Struct("<Q")
+
+COMPRESSIONS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+"""The compression field of chunks: the length of the name, and the name."""
+
+COMPRESSION_AT = FRAME.size + _CHUNK_HEAD.size - 4
+"""Offset of the compression field in a chunk, in bytes from its frame on."""
+
+CRC_BLOCK = 1 << 20  # bytes that `crc_of` reads at once
+
 _MESSAGE_FRAME = FRAME.size + MESSAGE_FIELDS
 
 Record = TypeVar("Record")
 
 
 class DamagedError(ValueError):
-    """Bytes that are not what they must be in an MCAP file; the text says why."""
+    """Bytes that violate the MCAP format; the text gives the reason."""
 
 
 class ChunkPlace(NamedTuple):
-    """Where a chunk lies in the file and what is in it."""
+    """The place of a chunk in the file, and its times and channels."""
 
     offset: int  # bytes, of its frame
     length: int  # bytes, with its frame
     start_time: int  # ns, of its earliest message
     end_time: int  # ns, of its latest message
-    channels: frozenset[int]  # of its messages; empty when the file does not tell
+    channels: frozenset[int]  # of its messages; empty if the file does not have them
 
 
 class _ExactStream(ReadDataStream):
-    """A stream that does not take part of a field for the whole."""
+    """A stream that raises EndOfFile if a field is cut short."""
 
     def read(self, length: int) -> bytes:
         data = super().read(length)
@@ -50,7 +59,7 @@ class _ExactStream(ReadDataStream):
 
 
 def parse(read: Callable[[ReadDataStream], Record], content: bytes) -> Record:
-    """Make a record of its content, by mcap's own `read`; raises DamagedError."""
+    """Make a record from its content, by mcap's own `read`; raises DamagedError."""
     try:
         return read(_ExactStream(BytesIO(content)))
     except (McapError, struct.error, ValueError) as error:
@@ -58,18 +67,18 @@ def parse(read: Callable[[ReadDataStream], Record], content: bytes) -> Record:
 
 
 def read_frame(fd: int, offset: int) -> tuple[int, int] | None:
-    """Read opcode and content length of the frame at `offset`; None where the file is torn."""
+    """Read opcode and content length of the frame at `offset`; None if the file ends there."""
     head = os.pread(fd, FRAME.size, offset)
     if len(head) < FRAME.size:
         return None
     opcode, length = FRAME.unpack(head)
-    # 0 is no opcode: it is what a power cut leaves of blocks that were never written.
+    # 0 is no opcode: a power cut leaves zeros in blocks that were never written.
     return None if opcode == 0 else (opcode, length)
 
 
 def read_content(fd: int, offset: int, length: int) -> bytes:
-    """Read the content of the frame at `offset`; raises DamagedError where the file is torn."""
-    # A damaged length must not make us allocate what it claims.
+    """Read the content of the frame at `offset`; raises DamagedError if the file is cut short."""
+    # A damaged length must not cause an allocation of the size that it states.
     missing = offset + FRAME.size + length - os.fstat(fd).st_size
     if missing > 0:
         raise DamagedError(f"{missing} of {length} bytes are missing")
@@ -100,7 +109,7 @@ def read_chunk(fd: int, place: ChunkPlace) -> bytes:
 def _decompress(data: bytes, compression: str, size: int) -> bytes:
     try:
         if compression == "zstd":
-            # A damaged frame must not make us allocate what it claims.
+            # A damaged frame must not cause an allocation of the size that it states.
             if zstandard.frame_content_size(data) > size:
                 raise DamagedError("its size does not fit")
             body = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
@@ -122,7 +131,8 @@ def messages_in(
 ) -> Iterator[tuple[str, int, bytes]]:
     """Yield the messages (topic, log time in ns, data) of a chunk's body, in its order.
 
-    Only of the channels in `topics`, and with start <= log time < end. Raises DamagedError.
+    Only messages of the channels in `topics` with start <= log time < end are yielded. Raises
+    DamagedError.
     """
     position = 0
     size = len(body)
@@ -156,3 +166,11 @@ def records_in(body: bytes) -> Iterator[tuple[int, bytes]]:
         if position > len(body):
             raise DamagedError("a record in it is cut short")
         yield opcode, body[position - length : position]
+
+
+def crc_of(fd: int, size: int) -> int:
+    """Return the CRC-32 of the first `size` bytes of an open file, or of all if it is shorter."""
+    crc = 0
+    for at in range(0, size, CRC_BLOCK):
+        crc = zlib.crc32(os.pread(fd, min(CRC_BLOCK, size - at), at), crc)
+    return crc

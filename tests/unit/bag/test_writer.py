@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag as others read it: mcap's own reader and `rosbags` are the judges."""
+"""Bags as other programs read them: checked by mcap's own reader and by `rosbags`."""
 
 import os
 import signal
@@ -14,9 +14,9 @@ from mcap.reader import make_reader
 from mcap.records import DataEnd, Message
 from mcap.stream_reader import StreamReader
 
-from flock_sim.bag.reader import BagReader
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
+from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.errors import FlockError, RunFailed
 
 STATE = "flock_interfaces/msg/BirdState"
@@ -130,7 +130,7 @@ def test_what_was_flushed_outlives_a_kill_9(tmp_path: Path) -> None:
         """
         import os, signal, sys
         from flock_sim.bag.topic import Topic
-        from flock_sim.bag.writer import BagWriter
+        from flock_sim.bag.writing.writer import BagWriter
         bag = BagWriter(sys.argv[1], [Topic("/clock", "rosgraph_msgs/msg/Clock")], {"flock": {}})
         for step in range(100):
             bag.write(0, step, b"data %d" % step)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag that was begun and left in any state is gone on with, and ends as good as in one go."""
+"""An unfinished bag in any state can be resumed, and ends as if flown without interruption."""
 
 import os
 import random
@@ -12,9 +12,9 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from flock_sim.bag.begun import Begun
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
+from flock_sim.bag.writing.partial_bag import PartialBag
+from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.errors import FlockError, RunFailed
 
 TOPICS = [
@@ -236,7 +236,7 @@ def test_any_flipped_byte_of_the_last_chunk_costs_that_chunk(tmp_path: Path, who
         data[position] ^= 0x41
         path.write_bytes(data)
         with path.open("rb") as file:
-            begun = Begun(file.fileno(), path, sound[:head])
+            begun = PartialBag(file.fileno(), path, sound[:head])
             assert begun.keep(len(begun.chunks)).written.messages == 80
             assert begun.keep(len(begun.chunks)).size == extents[-2][1]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are cut off or damaged: what is whole is read, what is missing is told."""
+"""Truncated and damaged bags: intact parts are read, and missing parts are reported."""
 
 import os
 import random
@@ -12,13 +12,13 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 
-from flock_sim.bag.reader import BagReader
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
-from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.run import Run
-from unit.flights import record
+from flock_sim.recording.run import Run
+from support.flights import record
 
 TOPICS = [Topic(f"/flock/bird_{i:02d}/state", "std_msgs/msg/Header") for i in range(1, 4)]
 Row = tuple[str, int, bytes]
@@ -157,7 +157,7 @@ def test_what_a_power_cut_left_unwritten_is_left_out(tmp_path: Path) -> None:
         found, missing = read(path)
         assert found == messages[: 30 * chunks]
         assert missing is not None
-        assert "bytes of data are not whole" in missing
+        assert "bytes of data" in missing
 
 
 def test_flipped_bytes_never_give_a_value_that_was_not_recorded(tmp_path: Path) -> None:

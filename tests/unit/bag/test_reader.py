@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading bags: ours, other people's, and what is no bag at all."""
+"""Reading Flock's bags, foreign bags, and files that are no bags."""
 
 import os
 from collections.abc import Callable
@@ -9,9 +9,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from flock_sim.bag.reader import BagReader
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
+from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.errors import FlockError
 
 TOPICS = [Topic(f"/flock/bird_{i:02d}/state", "std_msgs/msg/Header") for i in range(1, 4)]

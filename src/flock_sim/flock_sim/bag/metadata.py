@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 import yaml
 
 from flock_sim.bag.definitions import Definition
-from flock_sim.bag.layout import Written
+from flock_sim.bag.file_sections import Written
 from flock_sim.bag.topic import Topic
 
-METADATA_FILE = "metadata.yaml"
-PART_FILE = f"{METADATA_FILE}.part"  # what it is called while it is written
 _NO_MESSAGE = 2**63 - 1  # rosbag2's starting time of a bag without messages
 
 
@@ -21,7 +19,7 @@ def metadata_yaml(
     written: Written,
     custom_data: Mapping[str, str],
 ) -> str:
-    """Make the whole text for a bag of the one file `file_name`; its presence means complete."""
+    """Make the text for a bag with one file, `file_name`. Only complete bags have this text."""
     count = written.messages
     start = {"nanoseconds_since_epoch": written.start_time if count else _NO_MESSAGE}
     duration = {"nanoseconds": written.end_time - written.start_time}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What surrounds the chunks of an MCAP file: the head before them, the summary after them."""
+"""The parts of an MCAP file around its chunks: the head before them, the summary after them."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from flock_sim.bag.definitions import Definition
 from flock_sim.bag.topic import Topic
 
 MAGIC = b"\x89MCAP0\r\n"
-# No version in it: the same flight gives the same file, whoever installed what.
+# Without a version: the same flight gives the same file, whatever versions are installed.
 _LIBRARY = "flock"
 
 
@@ -40,7 +40,7 @@ def pack(*records: McapRecord) -> bytes:
 
 @dataclass
 class Written:
-    """What the file's chunks hold so far: what the summary tells of them.
+    """The content of the chunks written so far, for the summary.
 
     Memory: `chunk_index` grows by 77 + 10 * (channels in it) bytes a chunk.
     """
@@ -72,7 +72,7 @@ class Layout:
     """The records of one bag that are known from the start.
 
     Channel i (1, 2, ...) is the i-th topic; schemas are numbered by first use. The head holds
-    them outside any chunk, so that every whole chunk of a torn file can be read.
+    channels and schemas outside of chunks, so that all whole chunks of a torn file can be read.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class Layout:
         self.head = bytes(head + pack(*self._schemas, *self._channels))
 
     def tail(self, written: Written, size: int, crc: int) -> bytes:
-        """Make all that follows the last chunk: end of data, summary, footer and magic.
+        """Make the part after the last chunk: end of data, summary, footer and magic.
 
-        `size` is of the file so far, in bytes, and `crc` its CRC-32.
+        `size` is the size of the file so far, in bytes, and `crc` its CRC-32.
         """
         statistics = Statistics(
             attachment_count=0,

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compression of rosbag2 on top of MCAP's own: whole files, or the data of every message."""
+
+import shutil
+import tempfile
+from functools import partial
+from io import FileIO
+from itertools import islice
+from pathlib import Path
+from typing import IO
+
+import zstandard
+
+from flock_sim.bag.records import DamagedError
+from flock_sim.errors import FlockError
+
+FORMAT = "zstd"
+"""The only format of rosbag2: its name in metadata.yaml and the suffix of a compressed file."""
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of a compressed file or message. No CDR begins with them."""
+
+LARGEST_MESSAGE = 1 << 30
+"""Largest unpacked size of a message, in bytes: a damaged size must not cause an allocation."""
+
+PIECE = 1 << 20
+"""Number of bytes that are unpacked at once."""
+
+
+def unpacked_file(file: FileIO, path: Path) -> tuple[IO[bytes], str | None]:
+    """Unpack a compressed file into a file without a name, which is deleted when it is closed.
+
+    Returns the file, and None or the reason why only a part of it could be unpacked. Raises
+    FlockError if the disk has no room.
+    """
+    unpacked = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
+    damage = None
+    try:
+        file.seek(0)
+        with zstandard.ZstdDecompressor().stream_reader(
+            file, read_across_frames=True, closefd=False
+        ) as whole:
+            shutil.copyfileobj(whole, unpacked, PIECE)
+    except zstandard.ZstdError as error:
+        damage = f"it does not decompress to its end ({error})"
+    except OSError as error:
+        unpacked.close()
+        raise FlockError(
+            f"{path} can't be unpacked in {tempfile.gettempdir()}: {error.strerror}; set TMPDIR to"
+            f" a directory with room, or unpack it by: zstd -d {path}"
+        ) from error
+    return unpacked, damage
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """Return the data of a message that was compressed. Raises DamagedError."""
+    try:
+        if (size := zstandard.frame_content_size(data)) > LARGEST_MESSAGE:
+            raise DamagedError("a compressed message in it is too long")
+        if size >= 0:
+            return zstandard.ZstdDecompressor().decompress(data)
+        reader = zstandard.ZstdDecompressor().stream_reader(data)  # size unknown: piece by piece
+        return b"".join(islice(iter(partial(reader.read, PIECE), b""), LARGEST_MESSAGE // PIECE))
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise DamagedError(f"a message in it does not decompress: {error}") from error
