@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pushes: what one bird of one member is moved and sped up by at the beginning of a step.
+"""Pushes: changes of position and speed of one bird of one member at the beginning of a step.
 
-Before anything is computed or recorded there, the push is added to position and speed, so the state
-that is recorded at that step is the one after it. Several at one step are added in the order in
+A push is added to position and speed before anything is computed or recorded at its step. So the
+state recorded at this step includes the push. Several pushes at one step are added in the order in
 which they were given. As text a push is BIRD[:MEMBER]@STEP=DPOSITION[,DSPEED].
 """
 
@@ -11,12 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from flock_sim.core.kernel import FloatArray
 from flock_sim.errors import FlockError
+
+if TYPE_CHECKING:
+    from flock_sim.physics.arrays import FloatArray
 
 FORM = "BIRD[:MEMBER]@STEP=DPOSITION[,DSPEED]"
 EXAMPLE = "4@500=0.1,-0.01"
+
+LONGEST_NUMBER = 20
+"""Most digits that are shown of a refused number."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +30,7 @@ class Perturbation:
     """A push of one bird of one member; both are counted from 1."""
 
     step: int
-    """The step at whose beginning it happens."""
+    """The push happens at the beginning of this step."""
     bird: int
     member: int
     position: float
@@ -37,16 +43,16 @@ class Perturbation:
         return f"{self.bird}:{self.member}@{self.step}={change}"
 
     def push(self, position: FloatArray, speed: FloatArray) -> None:
-        """Change in place position (b) and speed (U_min) of the bird, both of shape (members,)."""
+        """Change position (b) and speed (U_min) of the bird in place, both of shape (members,)."""
         at = self.member - 1
-        # Python's own numbers: the same bits, and no complaint where a push is beyond all numbers.
+        # Python's floats give the same bits, without numpy's warning on overflow.
         position[at] = float(position[at]) + self.position
         speed[at] = float(speed[at]) + self.speed
 
     def check(self, birds: int, members: int, steps: int, told: str = "") -> None:
-        """Raise FlockError unless a flight of `steps` steps has such a bird, member and step.
+        """Raise FlockError unless a flight of `steps` steps has this bird, member and step.
 
-        `told` is how it was written, where it was not as `str` writes it.
+        `told` is the original text of the push, if it differs from that of `str`.
         """
         called = f"perturbation {told or str(self)!r}"
         for name, value, least, most in (
@@ -55,7 +61,9 @@ class Perturbation:
             ("step", self.step, 0, steps),
         ):
             if not least <= value <= most:
-                raise FlockError(f"{called}: {name} {value} is not among {least}..{most}")
+                said = str(value)
+                said = said if len(said) <= LONGEST_NUMBER else f"{said[:LONGEST_NUMBER]}..."
+                raise FlockError(f"{called}: {name} {said} is not among {least}..{most}")
         for change in (self.position, self.speed):
             if not math.isfinite(change):
                 raise FlockError(f"{called}: {change:g} must be finite")
@@ -64,17 +72,17 @@ class Perturbation:
 def perturbations(
     entries: Iterable[str], birds: int, members: int, steps: int
 ) -> tuple[Perturbation, ...]:
-    """Return the pushes that texts ask of a flight, in order: of all members if none is named.
+    """Return the pushes in the texts `entries`, in order; without a member, one for each member.
 
-    Raises FlockError on a text that is none, or asks for what the flight has not.
+    Raises FlockError on a text that is no push, or names a bird, member or step out of range.
     """
     return tuple(push for entry in entries for push in _read(entry, birds, members, steps))
 
 
 def in_order(pushes: Iterable[Perturbation]) -> list[Perturbation]:
-    """Return `pushes` by step, bird and member, and then in the order in which they were given.
+    """Return `pushes` ordered by step, bird and member; equal ones keep their given order.
 
-    Whoever adds the same ones in this order gets the same bits.
+    With one order, every process that adds the same pushes gets the same bits.
     """
     return sorted(pushes, key=lambda push: (push.step, push.bird, push.member))
 
@@ -98,7 +106,7 @@ def _read(entry: str, birds: int, members: int, steps: int) -> Iterator[Perturba
 
 
 def _whole(text: str) -> int:
-    """Return a whole number, also where it is written as 1e3; raises ValueError otherwise."""
+    """Return a whole number, also if it is written as 1e3; raises ValueError otherwise."""
     try:
         return int(text)
     except ValueError:

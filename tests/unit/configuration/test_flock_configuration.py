@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be flown is flown as written; what cannot is refused in one line that helps."""
+"""Valid configurations are flown as written. Others are refused in one line with a remedy."""
 
+import math
+from collections.abc import Iterator
 from math import inf, nan
+from random import Random
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from flock_sim.core.configuration import MEANING, FlockConfiguration
+from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
 from flock_sim.errors import FlockError
 
 
@@ -30,6 +33,7 @@ def refusal(**parameters) -> str:
 REFUSED = [
     ("birds", 0, ["birds = 0", "1 or more"]),
     ("birds", -3, ["birds = -3", "1 or more"]),
+    ("birds", "1e308", ["birds = 1e+308: must be 20000 or less"]),
     ("birds", 2.5, ["birds = 2.5", "whole number"]),
     ("birds", "13.5", ["birds = 13.5", "whole number"]),
     ("birds", nan, ["birds = nan", "whole number"]),
@@ -37,7 +41,8 @@ REFUSED = [
     ("birds", "many", ["birds = 'many'", "must be a number"]),
     ("birds", True, ["birds = True", "must be a number"]),
     ("birds", None, ["birds = None", "must be a number"]),
-    ("birds", 10**400, ["birds = 1000", "must be a number"]),
+    ("birds", 10**400, ["birds = 1000", "000...: must be a number"]),
+    ("birds", "9" * 5000, ["birds = 9999", "999...: must be a whole number"]),
     ("record_every", 0, ["record_every = 0", "1 or more"]),
     ("record_every", -1, ["record_every = -1", "1 or more"]),
     ("record_every", 0.5, ["record_every = 0.5", "whole number"]),
@@ -49,6 +54,7 @@ REFUSED = [
     ("t_max", [1.0], ["t_max = [1.0]", "must be a number"]),
     ("cruise_speed", 17.9, ["cruise_speed = 17.9", "min_drag_speed", "18 m/s", "or more"]),
     ("min_drag_speed", 18.6, ["cruise_speed = 18.5", "18.6 m/s"]),
+    ("min_drag_speed", 18.50000123, ["(18.50000123 m/s) or more"]),
     ("span_ratios", "4=1.05", ["span_ratios = '4=1.05'", 'list such as ["4=1.05"]']),
     ("span_ratios", 4, ["span_ratios = 4", "list such as"]),
     ("span_ratios", [4.0], ["span_ratios = 4.0", "must be text"]),
@@ -103,7 +109,12 @@ REFUSED = [
     ("perturbations", ["4:2@5=1"], ["'4:2@5=1'", "member 2 is not among 1..1"]),
     ("perturbations", ["4@-1=1"], ["'4@-1=1'", "step -1 is not among 0..10000"]),
     ("perturbations", ["4@10001=1"], ["'4@10001=1'", "step 10001 is not among 0..10000"]),
-    ("perturbations", ["4@1e300=1"], ["'4@1e300=1'", "is not among 0..10000"]),
+    (
+        "perturbations",
+        ["4@1e300=1"],
+        ["'4@1e300=1'", "step 10000000000000000525... is not among 0..10000"],
+    ),
+    ("perturbations", ["9" * 400 + "@5=1"], ["bird 99999999999999999999... is not among 1..13"]),
     ("perturbations", ["4@5=nan"], ["'4@5=nan'", "nan must be finite"]),
     ("perturbations", ["4@5=1,-inf"], ["'4@5=1,-inf'", "-inf must be finite"]),
     ("perturbations", ["4@5=1", "4@5=1e999"], ["'4@5=1e999'", "inf must be finite"]),
@@ -176,6 +187,43 @@ def test_t_max_between_steps_is_refused_with_the_multiples_beside_it(t_max, dt, 
     assert f"; {fixes[0]} and {fixes[1]} are" in message
     for fix in fixes:
         configured(t_max=fix, dt=dt)
+
+
+def drawn_times(count: int) -> Iterator[tuple[float, float]]:
+    """Yield step sizes and flight times, most of them no whole number of steps."""
+    random = Random(16)
+    yield 0.3333333333333333, 10.3333333333
+    yield 1.0, 12345678.5  # whose six digits are another whole number
+    yield 1e3, 1e3 * 51539607.3  # ROS time ends before the next step
+    for _ in range(count):
+        dt = random.choice([10.0 ** random.uniform(-4.0, 3.0), random.randint(1, 30) / 3.0])
+        steps = 10.0 ** random.uniform(-2.0, 7.0)
+        yield dt, dt * random.choice([steps, round(steps) + random.choice([1e-3, 0.5, 1.0 / 3.0])])
+
+
+def test_every_t_max_that_is_suggested_is_accepted():
+    tried = 0
+    for dt, t_max in drawn_times(3000):
+        try:
+            configured(t_max=t_max, dt=dt, record_every=10**6)
+        except FlockError as error:
+            _, _, fix = str(error).partition(": must be a multiple of dt = ")
+        else:
+            continue
+        assert fix, (dt, t_max)
+        suggested = fix.partition("; ")[2].removesuffix(" are").removesuffix(" is").split(" and ")
+        beside = [max(1, math.floor(t_max / dt)) + more for more in (0, 1)]
+        flown = [configured(t_max=text, dt=dt, record_every=10**6).steps for text in suggested]
+        assert flown == beside[: len(flown)], (dt, t_max)
+        tried += 1
+    assert tried > 2000
+
+
+def test_every_t_max_below_the_limit_that_is_named_is_accepted():
+    for wing_span in np.linspace(1.0, 2.0, 500):
+        message = refusal(t_max=1e12, wing_span=float(wing_span))
+        limit = float(message.partition("must be below ")[2].partition(",")[0])
+        configured(t_max=math.floor(limit - 1), wing_span=float(wing_span))
 
 
 @pytest.mark.parametrize(("t_max", "dt"), [(1e4, 5e-324), (1e308, 1e-10), (1.0, 1e-309)])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is flown: the one configuration that every node and tool reads.
+"""The configuration of a flight, which every node and tool reads.
 
-Flags, a ROS 2 parameter file and ROS parameters all end in `FlockConfiguration.from_parameters`,
-so a value means the same, and is refused with the same words, wherever it was written.
+`FlockConfiguration.from_parameters` reads the values of flags, a ROS 2 parameter file and ROS
+parameters alike, so a value has the same meaning, and the same error messages, in all of them.
 """
 
 from __future__ import annotations
@@ -15,27 +15,29 @@ from typing import Any
 
 import numpy as np
 
-from flock_sim.core import perturbation
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.links import settings
-from flock_sim.core.links.linkage import Linkage
-from flock_sim.core.perturbation import Perturbation
-from flock_sim.core.spelling import nearest
-from flock_sim.errors import FlockError
+from flock_sim.configuration import perturbation
+from flock_sim.configuration.choices import COUPLINGS
+from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.errors import FlockError, nearest
+from flock_sim.links import keys
+from flock_sim.links.link_table import LinkTable
+from flock_sim.physics.arrays import FloatArray
 
-COUPLINGS = ("nearest", "all")
-
-# How close t_max / dt must be to a whole number: decimals such as 1000 / 0.01 are off by rounding.
+# Largest relative distance of t_max / dt from a whole number: decimals such as 1000 / 0.01 have
+# rounding errors.
 STEP_TOLERANCE = 1e-12
 
 MOST_BIRDS = 20000
-"""What the topics of a bag can be numbered for."""
+"""Largest flock for which the topics of a bag can be numbered."""
 
 LEAST_ROW = 2.0
-"""Least time between recorded states, in ns: their stamps must differ."""
+"""Shortest time between recorded states, in ns: their stamps must differ."""
 
 LAST_SECOND = 2.0**31
-"""What the 32 bits of a ROS time stamp can't hold any more, in s."""
+"""First time that the 32 bits of a ROS time stamp can't hold, in s."""
+
+LONGEST_VALUE = 60
+"""Most characters that are shown of a refused value."""
 
 MEANING = {
     "birds": "number of birds N",
@@ -53,22 +55,22 @@ MEANING = {
     "aspect_ratio": "aspect ratio AR = (2b)^2 / S",
     "span_ratios": "birds that differ, each as I=LAMBDA or I=LAMBDA,LAMBDA,... (one a member)",
     "perturbations": f"pushes, each as {perturbation.FORM}, in b and U_min",
-    "links": f"how birds know their neighbours, each as {settings.FORM}",
+    "links": f"how birds know their neighbours, each as {keys.FORM}",
 }
 
 EXAMPLES = {
     "span_ratios": "4=1.05",
     "perturbations": perturbation.EXAMPLE,
-    "links": settings.EXAMPLE,
+    "links": keys.EXAMPLE,
 }
-"""What the entries of a list look like."""
+"""An example of an entry of each list."""
 
 
 @dataclass(frozen=True)
 class FlockConfiguration:
     """A flock and its flight. Defaults: thirteen Canada geese.
 
-    Units are those of the configuration file: `dt` and `t_max` in b / U_min, the bird in SI.
+    Units are those of the configuration file: b / U_min for `dt` and `t_max`, SI for the bird.
     Raises FlockError on a value that is out of range.
     """
 
@@ -93,7 +95,7 @@ class FlockConfiguration:
     def from_parameters(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
         """Return the configuration with `parameters` in place of the defaults.
 
-        Values may be of the declared type or text that reads as it ("1e4").
+        Values may have the declared type, or be text that can be read as this type ("1e4").
         Raises FlockError on an unknown key, naming the nearest known one, and on a bad value.
         """
         known = {field.name: field for field in fields(cls)}
@@ -107,13 +109,13 @@ class FlockConfiguration:
         )
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Refuse a configuration that cannot be flown."""
         for name, most in (("birds", MOST_BIRDS), ("record_every", 2**53)):
             value = getattr(self, name)
             if value < 1:
-                raise FlockError(f"{name} = {value}: must be 1 or more")
+                raise FlockError(f"{name} = {_told(value)}: must be 1 or more")
             if value > most:
-                raise FlockError(f"{name} = {value}: must be {most} or less")
+                raise FlockError(f"{name} = {_told(value)}: must be {most} or less")
         if self.coupling not in COUPLINGS:
             raise FlockError(f"coupling = {self.coupling!r}: {nearest(self.coupling, COUPLINGS)}")
         for field in fields(self):
@@ -123,59 +125,76 @@ class FlockConfiguration:
         if self.cruise_speed < self.min_drag_speed:
             raise FlockError(
                 f"cruise_speed = {self.cruise_speed:g}: must be min_drag_speed "
-                f"({self.min_drag_speed:g} m/s) or more"
+                f"({_told(self.min_drag_speed)} m/s) or more"
             )
+        self._check_time()
+        self.span_ratio, self.pushes  # noqa: B018  (read once, so that bad ones are refused here)
+
+    def _check_time(self) -> None:
+        """Refuse a flight time that is not a whole number of steps, or exceeds ROS time."""
         steps = self.t_max / self.dt
         if math.isinf(steps):
             raise FlockError(
                 f"t_max = {self.t_max:g} and dt = {self.dt:g}: too many steps to count; "
                 "give a larger dt"
             )
-        if round(steps) < 1 or abs(steps - round(steps)) > STEP_TOLERANCE * steps:
-            below = max(1, math.floor(steps)) * self.dt
+        if not self._in_ros_time(max(self.t_max, self.time(self.steps))):
+            latest = LAST_SECOND / self.second * (1.0 - 5e-6)  # rounded to six digits still below
             raise FlockError(
-                f"t_max = {self.t_max:g}: must be a multiple of dt = {self.dt:g}; "
-                f"{below:.12g} and {below + self.dt:.12g} are"
-            )
-        if self.time(self.steps) * self.second >= LAST_SECOND:
-            raise FlockError(
-                f"t_max = {self.t_max:g}: must be below {LAST_SECOND / self.second:.6g}, where "
-                "the seconds of ROS time end"
+                f"t_max = {_told(self.t_max)}: must be below {latest:.6g}, where the seconds of "
+                "ROS time end"
             )
         if self.record_every * self.dt * self.second * 1e9 < LEAST_ROW:
             raise FlockError(
                 f"dt = {self.dt:g} and record_every = {self.record_every}: states are recorded "
                 f"less than {LEAST_ROW:g} ns apart; raise one of them"
             )
-        self.span_ratio, self.pushes  # noqa: B018  (read once, so that bad ones are refused here)
+        if not _whole_steps(self.t_max, self.dt):
+            raise FlockError(
+                f"t_max = {_told(self.t_max)}: must be a multiple of dt = {_told(self.dt)}; "
+                f"{self._multiples(math.floor(steps))}"
+            )
+
+    def _in_ros_time(self, time: float) -> bool:
+        """Whether a time, in b / U_min, fits into a ROS time stamp."""
+        return time * self.second < LAST_SECOND
+
+    def _multiples(self, steps: int) -> str:
+        """Return text on the accepted flight times near `steps` steps, with few digits.
+
+        The digits must suffice: the printed times must pass the check that prints them.
+        """
+        around = (max(1, steps), max(1, steps) + 1)
+        fit = [_digits(k, self.dt) for k in around if self._in_ros_time(self.time(k))]
+        return f"{' and '.join(fit)} {'are' if len(fit) > 1 else 'is'}" if fit else "lower dt"
 
     @cached_property
     def span_ratio(self) -> FloatArray:
         """lambda_i of every bird and member, shape (birds, members)."""
         ratio = _span_ratio(self.span_ratios, self.birds)
-        members, others = ratio.shape[1], self.linkage.members
+        members, others = ratio.shape[1], self.link_table.members
         if members == 1:
             return np.repeat(ratio, others, axis=1)
         if others not in (1, members):
             raise FlockError(
-                f"link {self.linkage.longest!r} has {others} members and span_ratios have "
+                f"link {self.link_table.longest!r} has {others} members and span_ratios have "
                 f"{members}: give 1 or {members} to every link"
             )
         return ratio
 
     @cached_property
-    def linkage(self) -> Linkage:
-        """How every bird knows its neighbours."""
-        return Linkage(self.links, self.birds, self.coupling)
+    def link_table(self) -> LinkTable:
+        """The links of the flock: how every bird knows its neighbours."""
+        return LinkTable(self.links, self.birds, self.coupling)
 
     @cached_property
     def pushes(self) -> tuple[Perturbation, ...]:
-        """The perturbations, in the order in which they are given, one for each member pushed."""
+        """The perturbations in the given order, one for each pushed member."""
         return perturbation.perturbations(self.perturbations, self.birds, self.members, self.steps)
 
     @property
     def members(self) -> int:
-        """Number M of independent flocks that are flown at once."""
+        """Number M of independent flocks that fly at once."""
         return int(self.span_ratio.shape[1])
 
     @property
@@ -202,10 +221,31 @@ class FlockConfiguration:
         return {**asdict(self), **lists}
 
 
+def _whole_steps(t_max: float, dt: float) -> bool:
+    """Whether a flight time is a whole number of steps, apart from the rounding of decimals."""
+    steps = t_max / dt
+    return round(steps) >= 1 and abs(steps - round(steps)) <= STEP_TOLERANCE * steps
+
+
+def _digits(steps: int, dt: float) -> str:
+    """Return the shortest text of the time of `steps` steps that reads as this number of steps."""
+    for digits in range(6, 17):
+        text = f"{steps * dt:.{digits}g}"
+        if _whole_steps(float(text), dt) and round(float(text) / dt) == steps:
+            return text
+    return repr(steps * dt)
+
+
+def _told(value: float) -> str:
+    """Return the shortest text of a number that reads as this number."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)
+
+
 def _whole(key: str, value: Any) -> int:
     number = _real(key, value)
     if not math.isfinite(number) or number != math.floor(number):
-        raise FlockError(f"{key} = {value}: must be a whole number")
+        raise FlockError(f"{key} = {_shown(value)}: must be a whole number")
     return int(number)
 
 
@@ -215,7 +255,13 @@ def _real(key: str, value: Any) -> float:
             return float(value)
         except (ValueError, OverflowError):
             pass
-    raise FlockError(f"{key} = {value!r}: must be a number")
+    raise FlockError(f"{key} = {_shown(repr(value))}: must be a number")
+
+
+def _shown(value: object) -> str:
+    """Return the shown part of a refused value, which may have any length."""
+    text = str(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
 
 def _text(key: str, value: Any) -> str:
@@ -274,7 +320,7 @@ def _entry(entry: str, birds: int) -> tuple[int, list[float]]:
 
 
 def _check_wings_apart(ratio: FloatArray) -> None:
-    """Refuse neighbours whose bound vortices would meet: dy = a_i + a_j where lambdas sum to 1."""
+    """Refuse neighbours whose bound vortices meet: dy <= a_i + a_j if their lambdas sum to <= 1."""
     sums = ratio[:-1] + ratio[1:]
     if np.any(sums <= 1.0):
         bird, member = (int(k) for k in np.argwhere(sums <= 1.0)[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every tool ends with a status and a line that its user can act on."""
+"""Every tool ends with an exit status and an error line that helps its user."""
 
 from __future__ import annotations
 
@@ -9,16 +9,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from flock_sim.command_line import (
-    Parser,
-    add_flock_options,
-    flock_configuration,
-    positive_number,
-    print_json,
-    run_tool,
-    whole_number,
-)
-from flock_sim.core.configuration import FlockConfiguration
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.console.arguments import Parser, positive_number, print_json, run_tool, whole_number
 from flock_sim.errors import FlockError, RunFailed
 
 
@@ -105,6 +98,15 @@ def test_whole_numbers_keep_their_bounds() -> None:
             whole_number("--processes", text, 1, 3)
     with pytest.raises(FlockError, match="1 or more"):
         whole_number("--window", "0", 1)
+
+
+@pytest.mark.parametrize("text", ["9" * 20, "9" * 5000, "-" + "9" * 5000, "1e400", "x" * 5000])
+def test_what_is_beyond_all_bounds_is_refused_in_a_line_that_can_be_read(text: str) -> None:
+    readers = (lambda: whole_number("--window", text, 1), lambda: positive_number("--rate", text))
+    for read in readers:
+        with pytest.raises(FlockError) as refused:
+            read()
+        assert len(str(refused.value)) < 160
 
 
 def test_positive_numbers_are_finite() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standard output is for results: what a middleware prints there goes to standard error."""
+"""Standard output is for results: other output of the middleware goes to standard error."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ STDOUT, STDERR = 1, 2
 
 @contextmanager
 def results_only_on_stdout() -> Iterator[None]:
-    """Send to standard error, in the block, what this process and its children print.
+    """Redirect standard output of this process and its children to standard error in the block.
 
-    Fast DDS says on standard output what it has to complain of, in the middle of our JSON.
+    Fast DDS prints its errors on standard output, in the middle of our JSON.
     """
     sys.stdout.flush()
     kept = os.dup(STDOUT)

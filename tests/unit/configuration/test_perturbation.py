@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A push does what it says to whom it names, at that step, and nothing else."""
+"""A perturbation changes the given bird at the given step as stated, and nothing else."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.perturbation import Perturbation, in_order, perturbations
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation, in_order, perturbations
 from flock_sim.errors import FlockError
+from flock_sim.reference.integrator import Reference
 
 BIRDS, STEPS = 4, 60
 FLOWN = FlockConfiguration(
@@ -34,11 +34,11 @@ pushes = st.builds(
 
 def flown(given: list[Perturbation], configuration: FlockConfiguration = FLOWN) -> bytes:
     """Every bit that is recorded of a flight with these perturbations."""
-    flight = Monolith(replace(configuration, perturbations=tuple(map(str, given))))
+    flight = Reference(replace(configuration, perturbations=tuple(map(str, given))))
     return recorded(flight)
 
 
-def recorded(flight: Monolith) -> bytes:
+def recorded(flight: Reference) -> bytes:
     return b"".join(
         array.tobytes()
         for state in flight.fly()
@@ -112,7 +112,7 @@ def test_pushes_stay_in_the_order_in_which_they_were_given() -> None:
 
 @given(given=st.lists(pushes, max_size=6))
 def test_a_flight_is_that_of_one_whose_birds_are_moved_by_hand(given: list[Perturbation]) -> None:
-    by_hand = Monolith(FLOWN)
+    by_hand = Reference(FLOWN)
     states = []
     for step in range(STEPS + 1):
         for push in given:  # in their order
@@ -133,14 +133,14 @@ def test_pushes_asked_for_in_flight_come_after_those_of_the_configuration(
 ) -> None:
     configured, later = given[:live], given[live:]
     configuration = replace(FLOWN, perturbations=tuple(map(str, configured)))
-    assert recorded(Monolith(configuration, live=later)) == flown(given)
+    assert recorded(Reference(configuration, live=later)) == flown(given)
 
 
 def test_pushes_at_one_step_are_added_in_their_order() -> None:
     # x + 1e20 - 1e20 is 0, and x - 1e20 + 1e20 too; x + (1e20 - 1e20) would be x.
-    flock = Monolith(replace(FLOWN, perturbations=("1@0=1e20", "1@0=-1e20", "1@0=0.5")))
+    flock = Reference(replace(FLOWN, perturbations=("1@0=1e20", "1@0=-1e20", "1@0=0.5")))
     assert flock.position[0].tolist() == [0.5, 0.5, 0.5]
-    other = Monolith(replace(FLOWN, perturbations=("1@0=0.5", "1@0=1e20", "1@0=-1e20")))
+    other = Reference(replace(FLOWN, perturbations=("1@0=0.5", "1@0=1e20", "1@0=-1e20")))
     assert other.position[0].tolist() == [0.0, 0.0, 0.0]
 
 
@@ -150,13 +150,13 @@ def test_pushes_asked_for_in_flight_are_added_last_at_their_step() -> None:
     near = Perturbation(0, 1, 1, 0.5, 0.0)
     for configured, live, left in ((far, [near], 0.5), ([near], far, 0.0)):
         configuration = replace(FLOWN, perturbations=tuple(map(str, configured)))
-        assert Monolith(configuration, live=live).position[0, 0] == left
+        assert Reference(configuration, live=live).position[0, 0] == left
 
 
 @given(step=st.integers(0, STEPS), bird=st.integers(1, BIRDS), zero=st.sampled_from(["0", "-0"]))
 def test_a_push_of_zero_changes_no_bit(step: int, bird: int, zero: str) -> None:
     pushed = replace(FLOWN, perturbations=(f"{bird}@{step}={zero},{zero}",))
-    assert recorded(Monolith(pushed)) == flown([])
+    assert recorded(Reference(pushed)) == flown([])
 
 
 @pytest.mark.parametrize(
@@ -166,8 +166,8 @@ def test_a_push_of_zero_changes_no_bit(step: int, bird: int, zero: str) -> None:
 def test_a_push_of_one_member_changes_no_bit_of_the_others(coupling: str, change: str) -> None:
     configuration = replace(FLOWN, coupling=coupling)
     entries = (f"3:2@0={change}", f"3:2@20={change}")
-    whole = Monolith(configuration).advance(STEPS)
-    hurt = Monolith(replace(configuration, perturbations=entries)).advance(STEPS)
+    whole = Reference(configuration).advance(STEPS)
+    hurt = Reference(replace(configuration, perturbations=entries)).advance(STEPS)
     assert hurt[..., 1].tobytes() != whole[..., 1].tobytes()
     for member in (0, 2):
         assert hurt[..., member].tobytes() == whole[..., member].tobytes()
@@ -179,7 +179,7 @@ def test_the_state_recorded_at_that_step_is_the_one_after_the_push(step: int) ->
     states = {
         pushes: {
             state.step: state
-            for state in Monolith(replace(configuration, perturbations=pushes)).fly()
+            for state in Reference(replace(configuration, perturbations=pushes)).fly()
         }
         for pushes in ((), (f"2:1@{step}=0.25,-0.125",))
     }
@@ -208,20 +208,20 @@ def test_the_state_recorded_at_that_step_is_the_one_after_the_push(step: int) ->
 def test_it_makes_no_difference_in_how_many_pieces_a_flight_is_taken(
     given: list[Perturbation], cuts: list[int], rows: int
 ) -> None:
-    whole = Monolith(FLOWN, live=given).advance(STEPS)
-    pieces = Monolith(FLOWN, live=given)
+    whole = Reference(FLOWN, live=given).advance(STEPS)
+    pieces = Reference(FLOWN, live=given)
     parts = [pieces.advance(cut - pieces.step) for cut in [*cuts, STEPS]]
     assert np.concatenate(parts).tobytes() == whole.tobytes()
-    states = [state.step for state in Monolith(FLOWN, live=given).fly(rows)]
+    states = [state.step for state in Reference(FLOWN, live=given).fly(rows)]
     assert states == list(range(0, STEPS + 1, FLOWN.record_every))
 
 
 @given(begun=st.integers(0, STEPS))
 def test_a_flight_goes_on_from_any_step(begun: int) -> None:
-    flight = Monolith(FLOWN)
+    flight = Reference(FLOWN)
     flight.advance(begun)
     for state, other in zip(
-        flight.fly(), [s for s in Monolith(FLOWN).fly() if s.step >= begun], strict=True
+        flight.fly(), [s for s in Reference(FLOWN).fly() if s.step >= begun], strict=True
     ):
         assert state.step == other.step
         assert state.interaction_drag.tobytes() == other.interaction_drag.tobytes()
@@ -239,4 +239,4 @@ def test_a_flight_goes_on_from_any_step(begun: int) -> None:
 )
 def test_a_live_push_of_what_is_not_there_is_refused(push: Perturbation) -> None:
     with pytest.raises(FlockError, match="perturbation"):
-        Monolith(FLOWN, live=[push])
+        Reference(FLOWN, live=[push])

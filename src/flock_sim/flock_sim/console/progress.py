@@ -1,33 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a long computation has come, on a terminal; nothing elsewhere."""
+"""Progress bars of long computations, on a terminal only."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
 
-from flock_sim.core.configuration import FlockConfiguration
+TIME_LEFT = ""
+"""Placeholder for the time left, among the columns of a bar."""
 
 
 @contextmanager
 def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Callable[[int], None]]:
-    """Give a function that takes the step reached; shows it, simulated time, rate and time left."""
+    """Yield a function of the step reached; it shows step, simulated time, rate and time left."""
     columns = (
-        TextColumn("step {task.completed:.0f}/{task.total:.0f}  t = {task.fields[time]:.6g}"),
-        TextColumn("{task.fields[rate]:.0f} steps/s"),
-        TimeRemainingColumn(compact=True),
+        "step {task.completed:.0f}/{task.total:.0f}  t = {task.fields[time]:.6g}",
+        "{task.fields[rate]:.0f} steps/s",
+        TIME_LEFT,
     )
     with _bar(what, configuration.steps, columns) as update:
         begun: list[tuple[float, int]] = []
@@ -46,11 +41,8 @@ def progress_bar(what: str, configuration: FlockConfiguration) -> Iterator[Calla
 
 @contextmanager
 def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], None]]:
-    """Give a function that takes how much more of `total` is done; shows it, rate and time left."""
-    columns = (
-        TextColumn(f"{{task.fields[rate]:,.0f}} {unit}/s"),
-        TimeRemainingColumn(compact=True),
-    )
+    """Yield a function of the further amount of `total` done; it shows rate and time left."""
+    columns = (f"{{task.fields[rate]:,.0f}} {unit}/s", TIME_LEFT)
     with _bar(what, total, columns) as update:
         begun, done = time.monotonic(), 0.0
 
@@ -64,13 +56,11 @@ def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], No
 
 @contextmanager
 def playback_bar(length: float) -> Iterator[Callable[[float, float, bool], None]]:
-    """Give a function that takes the recorded time reached, in s of `length`, rate and pause.
+    """Yield a function of the recorded time reached, in s of `length`, the rate and the pause.
 
-    Without the time left, which would count pauses in.
+    The bar does not show the time left, which would include pauses.
     """
-    place = TextColumn(
-        f"{{task.fields[time]:.2f}} of {length:.2f} s  rate {{task.fields[rate]:.3g}}"
-    )
+    place = f"{{task.fields[time]:.2f}} of {length:.2f} s  rate {{task.fields[rate]:.3g}}"
     with _bar("playing", length, (place,)) as update:
 
         def show(reached: float, rate: float, paused: bool) -> None:
@@ -81,17 +71,27 @@ def playback_bar(length: float) -> Iterator[Callable[[float, float, bool], None]
 
 
 @contextmanager
-def _bar(
-    what: str, total: float, columns: Iterable[ProgressColumn]
-) -> Iterator[Callable[..., None]]:
-    """Give a function that updates the fields of a bar with `columns`; on a terminal only."""
+def _bar(what: str, total: float, columns: tuple[str, ...]) -> Iterator[Callable[..., None]]:
+    """Yield a function that updates the fields of a bar with `columns`; on a terminal only."""
     if not sys.stderr.isatty():
         yield lambda **fields: None
         return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     ends = (TextColumn("{task.description}"), BarColumn(bar_width=None), TaskProgressColumn())
     with Progress(
         *ends,
-        *columns,
+        *(
+            TextColumn(column) if column else TimeRemainingColumn(compact=True)
+            for column in columns
+        ),
         console=Console(stderr=True),
         refresh_per_second=5,
     ) as bar:

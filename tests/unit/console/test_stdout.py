@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What libraries print does not get into our results."""
+"""The output of libraries does not mix with results on stdout."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from flock_sim.standard_output import results_only_on_stdout
+from flock_sim.console.stdout import results_only_on_stdout
 
 
 def test_what_a_library_or_a_child_prints_is_no_result(capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Common part of all command-line tools: numbers in options, one-line errors, exit statuses."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from flock_sim.console.signals import Ended, Endings
+from flock_sim.errors import FlockError, RunFailed
+
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+LONGEST = 1e9
+"""Largest time that an option or parameter may set, in s."""
+
+MOST = 2**53
+"""The largest whole number that an option takes, unless it says otherwise."""
+
+LONGEST_TEXT = 60
+"""Most characters of a value that are shown in an error."""
+
+TIMEOUT = "60"
+"""Longest standstill of a flight, in s, unless an option says otherwise."""
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line, like all of Flock's."""
+
+    def __init__(self, tool: str, description: str, examples: str) -> None:
+        """Make the parser of `tool`; `examples` is the end of its help text."""
+        super().__init__(
+            prog=f"./flock {tool}",
+            description=description,
+            epilog=f"examples:\n{examples}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Raise FlockError instead of printing the usage."""
+        raise FlockError(f"{message}; {self.prog} --help tells more")
+
+
+def whole_number(name: str, text: str, least: int, most: int | None = None) -> int:
+    """Return `text` as a whole number within bounds. Raises FlockError otherwise."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if most is None and value > MOST:
+        most = MOST
+    if value < least or (most is not None and value > most):
+        allowed = f"{least}..{most}" if most is not None else f"{least} or more"
+        raise FlockError(f"{name} {shown(text)}: must be a whole number, {allowed}")
+    return value
+
+
+def shown(text: str) -> str:
+    """Return `text` for use in an error, at most LONGEST_TEXT characters and an ellipsis."""
+    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}..."
+
+
+def whole_numbers(name: str, text: str, least: int, most: int | None = None) -> list[int]:
+    """Return the whole numbers in `text`, between commas. Raises FlockError as `whole_number`."""
+    try:
+        return [whole_number(name, part.strip(), least, most) for part in text.split(",")]
+    except FlockError as error:
+        if "," not in text:
+            raise
+        raise FlockError(f"{error} (in {name} {shown(text)})") from None
+
+
+def numbers(text: str) -> list[float]:
+    """Return the numbers in `text`, between commas; [nan] if one is not a number."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return [math.nan]
+
+
+def positive_number(name: str, text: str) -> float:
+    """Return `text` as a number of seconds above 0. Raises FlockError otherwise."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value <= LONGEST:
+        raise FlockError(
+            f"{name} {shown(text)}: must be a finite number above 0, {LONGEST:g} at most"
+        )
+    return value
+
+
+def not_negative_number(name: str, text: str) -> float:
+    """Return `text` as a finite number, 0 or more. Raises FlockError otherwise."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value <= LONGEST:
+        raise FlockError(f"{name} {shown(text)}: must be a number from 0 to {LONGEST:g}")
+    return value
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """Print `value` as one JSON object on stdout."""
+    print(json.dumps(value))
+
+
+def note(line: str) -> None:
+    """Print a line that is no result on stderr, so that stdout has results only."""
+    print(printable(line), file=sys.stderr, flush=True)
+
+
+def printable(line: str) -> str:
+    """Return `line` with line ends and terminal control characters escaped.
+
+    Names from a file or a message may contain them.
+    """
+    if line.isprintable():
+        return line
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in line)
+
+
+def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | None = None) -> int:
+    """Run `tool` and return its exit status: 0, 1 (answer is no), 2 (bad input), 130 (Ctrl-C)."""
+    try:
+        with Endings():
+            try:
+                return tool(sys.argv[1:] if arguments is None else arguments)
+            finally:
+                _flush()  # here, so that Python can't fail to write at its exit
+    except FlockError as error:
+        note(f"error: {error}")
+        return error.exit_status
+    except KeyboardInterrupt as error:
+        note("stopped")
+        return error.status if isinstance(error, Ended) else INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has closed it: no more output is possible.
+        _forget_output()
+        return BROKEN_PIPE
+
+
+def _flush() -> None:
+    """Flush the buffer of stdout. Raises RunFailed if it can't be written."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _forget_output()
+        raise RunFailed(f"standard output can't be written: {error.strerror}") from None
+
+
+def _forget_output() -> None:
+    """Drop the buffer of stdout: Python would try to write it again at its exit."""
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115
