@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Birds with a control: by hand, alone and among others."""
+"""Birds with a control: single birds and birds in a flock."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, State, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.scaling import Scales
-from flock_sim.core.steering import Control, View
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages.types import Checkpoint, Grant, State, Wing
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.scaling import Scales
+from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.control_force import Control, Perception
+from flock_sim.reference.integrator import Reference
 
 STEPS = 20
 ALONE = FlockConfiguration(
@@ -79,7 +79,7 @@ def test_no_force_changes_no_bit():
 
 
 def test_gone_on_with_from_a_checkpoint_it_is_the_same_flight():
-    def control(view: View) -> np.ndarray:
+    def control(view: Perception) -> np.ndarray:
         return force(view.time, view.speed)
 
     flown = fly_alone(control)
@@ -98,9 +98,9 @@ def test_gone_on_with_from_a_checkpoint_it_is_the_same_flight():
 )
 def test_a_control_is_given_what_the_bird_knows_stage_by_stage(links, heard_at):
     flock = FlockConfiguration(birds=3, dt=0.5, t_max=1.0, record_every=1, links=links)
-    seen: list[View] = []
+    seen: list[Perception] = []
 
-    def look(view: View) -> float:
+    def look(view: Perception) -> float:
         seen.append(view)
         return 0.0
 
@@ -118,7 +118,7 @@ def test_a_control_is_given_what_the_bird_knows_stage_by_stage(links, heard_at):
             waiting += [out for bird in birds for out in bird.receive_stage(data)]
 
     assert [view.time for view in seen] == [0.0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75, 1.0, 1.0]
-    reference = [state.position for state in Monolith(flock).fly()]
+    reference = [state.position for state in Reference(flock).fly()]
     for step, heard in enumerate(heard_at):
         view = seen[STAGES * step]
         assert (view.bird, view.neighbours) == (2, (1, 3))
@@ -128,9 +128,9 @@ def test_a_control_is_given_what_the_bird_knows_stage_by_stage(links, heard_at):
 
 def test_of_whom_nothing_is_known_the_position_is_nan():
     flock = FlockConfiguration(birds=2, t_max=2.0, links=("hold:delay=1",))
-    seen: list[View] = []
+    seen: list[Perception] = []
 
-    def look(view: View) -> float:
+    def look(view: Perception) -> float:
         seen.append(view)
         return 0.0
 

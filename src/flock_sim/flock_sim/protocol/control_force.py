@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A force of a bird's own choice, besides thrust and drag: its control."""
+"""The control of a bird: a force of its own choice, in addition to thrust and drag."""
 
 from __future__ import annotations
 
@@ -8,45 +8,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flock_sim.core.bird_step import THRUST
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.runge_kutta import NODES, STAGES
-from flock_sim.core.stage_message import stage_numbers
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages.stage_layout import stage_numbers
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.runge_kutta import NODES, STAGES
+from flock_sim.protocol.bird_kernel import THRUST
 
 
 @dataclass(frozen=True)
-class View:
-    """What a bird knows at a Runge-Kutta stage: of itself, and by its links of its neighbours."""
+class Perception:
+    """Known values of a bird at a Runge-Kutta stage: its own, and by its links its neighbours'."""
 
     bird: int
     """Its number, 1..N."""
     time: float
-    """That of the stage, in b / U_min."""
+    """Time of the stage, in b / U_min."""
     position: FloatArray
-    """Its own, shape (members,), in b."""
+    """Its own position, shape (members,), in b."""
     speed: FloatArray
-    """Its own, shape (members,), in U_min."""
+    """Its own speed, shape (members,), in U_min."""
     neighbours: tuple[int, ...]
     """The birds that it feels, in ascending order."""
     positions: FloatArray
-    """Those of the neighbours, shape (neighbours, members), in b; nan of whom it knows nothing."""
+    """Positions of the neighbours, shape (neighbours, members), in b; nan if not known."""
 
 
-Control = Callable[[View], FloatArray | float]
+Control = Callable[[Perception], FloatArray | float]
 """The force on a bird, forward, in rho b^2 U_min^2: shape (members,), or one number for all.
 
-It may depend on its argument only, and has to give the same for the same: after a fault a flight is
-gone on with from what is on disk, and what a control remembers is not there.
+It may depend on its argument only, and must return the same result for the same argument: after a
+fault a flight continues from the data on disk, which has no internal state of a control.
 """
 
 
 class Steering:
-    """Adds to the thrust of a bird what its control asks for, stage by stage.
+    """Adds the force of the control to the thrust of a bird, stage by stage.
 
-    So the kernel that moves birds is the same for all of them, and a force is integrated as well as
-    drag is: by all four stages.
+    So one kernel moves all birds, and the force is integrated like the drag: by all four stages.
     """
 
     def __init__(
@@ -68,19 +67,19 @@ class Steering:
     def steer(self, tick: int, heard: FloatArray, mine: FloatArray) -> None:
         """Set the thrust at `tick`; `heard` and `mine` are those of `feel_and_move`.
 
-        Raises FlockError where the control gives what is no force.
+        Raises FlockError if the control returns a value that is no force.
         """
         step, stage = divmod(tick, STAGES)
         members = len(self._thrust)
         position, speed, _ = stage_numbers(mine[tick & 1], members)
         positions, _, circulations = stage_numbers(heard[tick & 1].T, members)
-        view = View(
+        view = Perception(
             self._bird,
             (step + NODES[stage]) * self._dt,
             position.copy(),
             speed.copy(),
             self._neighbours,
-            # Who is not known has no circulation, as the drag has it.
+            # An unknown neighbour has circulation 0, as in the drag.
             np.where(circulations == 0.0, np.nan, positions).T,
         )
         force = self._control(view)

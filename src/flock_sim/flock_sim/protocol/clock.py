@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the clock keeps a flock together, as a state machine: progress in, leave and time out.
+"""How the clock keeps a flock together, as a state machine: progress in, grants and time out.
 
-The flock may go `window` steps beyond its slowest bird, and never further beyond what is on disk
-than the messages on the way to the recorder can hold. When somebody has died and come back, or this
-clock is itself a new one, the flock is sent back to what is on disk: a new epoch.
+The flock may go `window` steps beyond its slowest bird. It may go no further beyond the last step
+on disk than the recorder's message queues can hold. When a process has restarted, or this clock
+itself is a new one, the flock is rewound to the last step on disk: a new epoch begins.
 """
 
 from __future__ import annotations
@@ -13,17 +13,20 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Push, Time
-from flock_sim.core.perturbation import Perturbation
-from flock_sim.core.stage_inbox import FOREIGN, REACH, REPEATED, STALE
-from flock_sim.core.terms import terms
-from flock_sim.core.topics import RECORDER, bird_name, steps_ahead
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages.epochs import REACH, ahead, following
+from flock_sim.messages.handshake import handshake
+from flock_sim.messages.rejection import FOREIGN, REPEATED, STALE
+from flock_sim.messages.topics import RECORDER, bird_name, steps_ahead
+from flock_sim.messages.types import Checkpoint, Grant, Progress, Push, Time
 
 ABSENT = -2
-"""The step of somebody who has not been heard of. -1 is a bird that is there and has not heard its
-neighbours, or a recorder that is there and has recorded nothing."""
+"""The step of a node that has not reported. -1 is the step of a bird that has reported but has not
+heard its neighbours, or of a recorder that has reported but has recorded nothing."""
+
+MOST_DOUBTED = 100_000
+"""Most reports that are remembered until they are repeated."""
 
 UNKNOWN = "from nobody of this flock"
 
@@ -31,20 +34,20 @@ Message = Grant | Time | Checkpoint | Push
 
 
 def new_run_id() -> int:
-    """Return a run id that nobody else has: 1 .. 2**63 - 1, since ROS parameters are signed."""
+    """Return a unique run id: 1 .. 2**63 - 1, since ROS parameters are signed."""
     return secrets.randbelow(2**63 - 1) + 1
 
 
 @dataclass
 class Rewinds:
-    """What recovering has cost so far: how many times, and the steps that were flown again."""
+    """Cost of recovery so far: the number of rewinds, and of the steps flown again."""
 
     count: int = 0
     steps: int = 0
 
 
 class Timekeeper:
-    """The clock of one run. Feed it Progress; send the messages it returns, in order.
+    """The clock of one run. Pass it Progress; send the messages that it returns, in order.
 
     >>> clock = Timekeeper(FlockConfiguration(birds=1, t_max=9.0), run_id=7, window=4, record=False)
     >>> [type(message).__name__ for message in clock.first_messages]
@@ -63,55 +66,62 @@ class Timekeeper:
         epoch: int = 1,
         factor: float = 0.0,
     ) -> None:
-        """Begin a run of `configuration` under `run_id`; `record`: there will be a recorder.
+        """Begin a run of `configuration` under `run_id`; `record`: the run has a recorder.
 
-        `epoch` is the first one; a clock that takes the place of another begins with a later one.
-        `factor` is the real-time factor of a free flight, in which nobody is held by the window.
+        `epoch` is the first one. A clock that replaces another one learns of later epochs from the
+        other nodes, and begins a later one. `factor` is the real-time factor of a free flight, in
+        which the window holds no bird.
         """
         self._configuration = configuration
         self._window = configuration.steps if factor else window
         self.free = factor > 0.0
-        """Whether birds step by their own timers: such a flight can't be operated."""
+        """Whether birds step by their own timers: the services then refuse."""
         self.lost = False
-        """Whether a free flight would have had to go back, which it can't."""
+        """Whether a free flight would need a rewind, which it does not support."""
         self._ahead = steps_ahead(configuration, record_stages)
-        self._terms = terms(configuration, factor)
+        self._terms = handshake(configuration, factor)
         self.run_id = run_id
         self.epoch = epoch
         self.end = configuration.steps
-        """The last step: that of the configuration, or where the run was stopped."""
+        """The last step: of the configuration, or the step at which the run was stopped."""
         self.moves = 0
-        """How often anybody has moved: a run in which this stays stands still."""
+        """Number of moves of all nodes: while it does not change, the run stands still."""
         self.rewinds = Rewinds()
         self.ignored_for: Counter[str] = Counter()
         """How many messages changed nothing, by the reason."""
         birds = [bird_name(bird) for bird in range(1, configuration.birds + 1)]
         self._birds = frozenset(birds)
-        self._lives: dict[str, set[int]] = {
+        self._incarnations: dict[str, set[int]] = {
             name: set() for name in [*birds, *([RECORDER] if record else [])]
         }
         self._record = record
+        self._leave = 0  # the furthest step ever granted
         self._pause_at: int | None = None
-        self._stopping = False  # to be stopped once all are there
+        self.steps_asked = 0
+        """Steps to fly from where the run begins or continues, before a pause; 0: none."""
+        self._pausing = False  # pause where the run begins or continues
+        # Reports received once that name an epoch out of reach, or would end a free flight.
+        self._doubted: set[tuple[str, int, int]] = set()
+        self._stopping = False  # stop once all nodes have reported
         self._perturbation = 0
-        self._reached_before = 0  # the step that was reached when the last rewind came
+        self._reached_before = 0  # the step reached before the last rewind
         self._first: int | None = None  # the step that this clock began at
         self._begin_epoch()
 
     def _begin_epoch(self) -> None:
         self.step = ABSENT
-        """The step that every bird has reached; below 0 before they have heard each other."""
-        self._reached = dict.fromkeys(self._lives, ABSENT)
-        # How many birds have reached each step: few steps, however many birds.
+        """The step that every bird has reached; below 0 until they have heard each other."""
+        self._reached = dict.fromkeys(self._incarnations, ABSENT)
+        # Number of birds at each step. It has few entries, however many birds fly.
         self._birds_at = Counter(self._reached[name] for name in self._birds)
-        self._heard: set[str] = set()  # since anybody has moved
+        self._heard: set[str] = set()  # since the last move of any node
         self._granted = 0
-        self._told = -1  # the last step whose time was told, or that is on disk
-        self._checkpoint = ABSENT  # the step that was on disk when the epoch began
+        self._told = -1  # the last step whose time was published, or that is on disk
+        self._checkpoint = ABSENT  # the last step on disk when the epoch began
 
     @property
     def first_messages(self) -> list[Message]:
-        """The messages that begin an epoch: everybody to the checkpoint."""
+        """The messages that begin an epoch: they send every bird to the checkpoint."""
         messages: list[Message] = [self.grant]
         if not self._record:
             messages.append(Checkpoint.of_start(self.run_id, self.epoch))
@@ -119,84 +129,92 @@ class Timekeeper:
 
     @property
     def grant(self) -> Grant:
-        """The leave that was given last."""
+        """The last grant."""
         return self._grant(self._granted)
 
     @property
     def release(self) -> Grant:
-        """The message that ends the run, leave beyond its end: nobody needs the birds any more."""
+        """The message that ends the run: a grant beyond its end releases the birds."""
         return self._grant(self.end + 1)
 
     @property
     def finished(self) -> bool:
-        """Whether the last step is reached, and on disk where it is to be recorded."""
+        """Whether the last step is reached, and is on disk if the run is recorded."""
         if not self._record:
             return self.step >= self.end
         last_recorded = self.end - self.end % self._configuration.record_every
-        # Where an epoch begins with everything on disk, birds may have been let go already.
+        # If everything is on disk when an epoch begins, birds may have been released already.
         flown = self.step >= self.end or self._checkpoint >= last_recorded
         return flown and self.saved >= last_recorded
 
     @property
     def begun(self) -> bool:
-        """Whether all are there, and every bird has heard its neighbours."""
+        """Whether all nodes have reported, and every bird has heard its neighbours."""
         return self.step >= 0 and self._reached.get(RECORDER) != ABSENT
 
     @property
     def paused(self) -> bool:
-        """Whether the flock has come to where it was told to pause."""
+        """Whether the flock has reached the step at which it pauses."""
         return self._pause_at is not None and self.step >= self.pauses_at
 
     @property
     def pauses_at(self) -> int:
-        """The step that the flock pauses at; its end where it does not."""
+        """The step that the flock pauses at; the last step if no pause is set."""
         return self.end if self._pause_at is None else min(self._pause_at, self.end)
 
     @property
+    def leave_known(self) -> bool:
+        """Whether the extent of the grants is known: once all nodes have been present."""
+        return self._first is not None
+
+    @property
     def lag(self) -> int:
-        """Steps that the flock is ahead of what is on disk; 0 where nothing is recorded."""
+        """Steps that the flock is ahead of the last step on disk; 0 without a recorder."""
         return max(0, self.step - max(self.saved, 0)) if self._record else 0
 
     @property
     def saved(self) -> int:
-        """The last step that is on disk; -1 or less for none."""
+        """The last step on disk; -1 or less for none."""
         return self._reached[RECORDER]
 
     @property
     def where(self) -> str:
-        """Where the run is, in words."""
+        """The position of the run, as text."""
         return f"at step {self.step} of {self.end}" if self.begun else "to begin"
 
     @property
     def waiting_for(self) -> list[str]:
-        """Who has to move before the run can go on; nobody in a pause."""
+        """The nodes that must move before the run can continue; none in a pause."""
         if self.paused:
             return []
         absent = [name for name, step in self._reached.items() if step == ABSENT]
         if absent:
             return absent
         if self.step < max(self._granted, 1):
-            # Who waits says so again and again; who is silent is what they wait for.
+            # Waiting birds report every second, so a silent one is the blocker.
             silent = [name for name, _ in self._birds_reached() if name not in self._heard]
             behind = [name for name, step in self._birds_reached() if step == self.step]
             return silent if silent and self._heard else behind
         return [RECORDER] if self._record else []
 
     def receive(self, progress: Progress) -> list[Message]:
-        """Take somebody's progress; what is not of this run, or not new, changes nothing."""
+        """Take a progress report. One of another run, or an old one, has no effect."""
         if progress.run_id != self.run_id:
             return self._ignore(FOREIGN)
-        lives = self._lives.get(progress.who)
-        if lives is None:
+        incarnations = self._incarnations.get(progress.who)
+        if incarnations is None:
             return self._ignore(UNKNOWN)
-        came_back = bool(lives) and progress.life not in lives
-        lives.add(progress.life)
-        if progress.epoch > self.epoch + REACH:
+        later = ahead(progress.epoch, self.epoch)
+        came_back = bool(incarnations) and progress.life not in incarnations
+        far = later > REACH and self._first is not None
+        ends = self.free and self._granted > 0 and (came_back or later > 0)
+        if (far or ends) and self._doubts(progress):
             return self._ignore(REPEATED)
-        if came_back or progress.epoch > self.epoch:
-            self.epoch = max(self.epoch, progress.epoch)
+        incarnations.add(progress.life)
+        if came_back or later > 0:
+            self.epoch = progress.epoch if later > 0 else self.epoch
             return self.rewind()
-        if progress.epoch < self.epoch:
+        if later < 0:
             return self._ignore(STALE)
         if progress.step > self.end:
             return self._ignore(REPEATED)
@@ -210,46 +228,60 @@ class Timekeeper:
         if progress.who == RECORDER and first:
             self._told = self._checkpoint = progress.step
             self._granted = max(0, progress.step)
+            self._leave = max(self._leave, self._granted)
         self.step = min(self._birds_at)
         if not self.begun:
             return []
         if max(self._birds_at) > self._granted:
-            return self.rewind()  # by the leave of another clock, in an epoch of the same number
+            return self.rewind()  # granted by another clock, in an epoch of the same number
         self._count_steps_lost()
+        self._pause_where_asked()
         return [*self._times(), *(self.stop() if self._stopping else self._grants())]
 
     def rewind(self) -> list[Message]:
-        """Send everybody back to what is on disk, under a new epoch."""
+        """Rewind all birds to the last step on disk, under a new epoch."""
         if self.begun:
             self._reached_before = self.step
         self.lost = self.free and self._granted > 0
         self.rewinds.count += 1
-        self.epoch += 1
+        self.epoch = following(self.epoch)
         self.moves += 1
         self._begin_epoch()
         return self.first_messages
 
     def pause(self) -> None:
-        """Give no more leave than was given."""
-        self._pause_at = self._granted
+        """Pause at the furthest step granted; if none was granted, at the last step on disk."""
+        self.steps_asked = 0
+        self._pausing = not self.leave_known
+        self._pause_at = self._leave
 
     def resume(self) -> list[Grant]:
-        """Go on after a pause."""
+        """Continue after a pause."""
         self._pause_at = None
+        self.steps_asked, self._pausing = 0, False
         return self._grants() if self.begun else []
 
     def take_steps(self, count: int) -> list[Grant]:
-        """Give leave for `count` steps more, and then pause."""
-        self._pause_at = max(self._granted, self._pause_at or 0) + count
+        """Grant `count` more steps, and then pause."""
+        if not self.leave_known:
+            self.steps_asked += count
+            return []
+        self._pause_at = max(self._leave, self._pause_at or 0) + count
         return self._grants() if self.begun else []
+
+    def _pause_where_asked(self) -> None:
+        """Apply a pause or steps requested before the first step of the run was known."""
+        if self.steps_asked or self._pausing:
+            self._pause_at = self._granted + self.steps_asked
+            self.steps_asked, self._pausing = 0, False
 
     def perturb(
         self, bird: int, member: int, step: int, position: float, speed: float
     ) -> tuple[int, list[Message]]:
-        """Push a bird (of member 0: all of them) at `step`, or as soon as can be if that is 0.
+        """Push a bird at `step`, or at the soonest possible step if `step` is 0.
 
-        Returns the step, and the messages that begin the epoch in which it is flown. Raises
-        FlockError where it can't be.
+        `member` 0 means all members. Returns the step, and the messages that begin the epoch with
+        the push. Raises FlockError if the push is not possible.
         """
         configuration = self._configuration
         if not self._record:
@@ -260,26 +292,34 @@ class Timekeeper:
             raise FlockError("position = 0 and speed = 0 push nobody: give one of them")
         if not self.begun:
             raise FlockError("the flock is not flying yet, or again: ask once more when it is")
+        step = self._step_of_push(step)
+        # The number of the epoch that it begins distinguishes it from pushes of earlier clocks.
+        push = Push(self.run_id, step, position, speed, following(self.epoch), bird, member)
+        for one in push.each(configuration.members):
+            one.check(configuration.birds, configuration.members, self.end)
+        self._perturbation = push.number
+        return step, [push, *self.rewind()]
+
+    def _step_of_push(self, step: int) -> int:
+        """Return the step of a push requested at `step`; 0 requests the soonest possible step.
+
+        Raises FlockError if that step is already granted or is after the end of the flight.
+        """
         soonest = self._granted + 1
-        step = step or soonest
-        if step < soonest:
+        if soonest > self.end:
             raise FlockError(
-                f"step = {step}: must be {soonest} or more, since birds have leave to fly up to "
-                f"{self._granted}; or 0 for as soon as can be"
+                f"too late to push: birds have leave to fly up to step {self._granted}, where the "
+                "flight ends; fly longer, or push earlier"
             )
-        members = [member] if member else range(1, configuration.members + 1)
-        pushes = [Perturbation(step, bird, m, position, speed) for m in members]
-        for push in pushes:
-            push.check(configuration.birds, configuration.members, self.end)
-        # By the number of the epoch that it begins, it is told from those of any clock before.
-        numbered = list(enumerate(pushes, start=self.epoch + 1))
-        self.epoch += len(pushes) - 1
-        self._perturbation = self.epoch + 1
-        asked: list[Message] = [Push.of(self.run_id, number, push) for number, push in numbered]
-        return step, asked + self.rewind()
+        if step and not soonest <= step <= self.end:
+            raise FlockError(
+                f"step = {step}: must be {soonest}..{self.end}, since birds have leave to fly up "
+                f"to {self._granted} and the flight ends at {self.end}; or 0 for as soon as can be"
+            )
+        return step or soonest
 
     def stop(self) -> list[Message]:
-        """End the run where leave ends; during a rewind: where it would go on."""
+        """End the run at the last granted step; during a rewind, where it would continue."""
         self._pause_at = None
         self._stopping = not self.begun
         if self._stopping:
@@ -289,7 +329,7 @@ class Timekeeper:
 
     @property
     def distance(self) -> int:
-        """How many steps the flock has come since this clock began."""
+        """Number of steps that the flock has flown since this clock began."""
         return max(0, self.step - (self._first or 0))
 
     def _count_steps_lost(self) -> None:
@@ -298,6 +338,16 @@ class Timekeeper:
         if self._reached_before:
             self.rewinds.steps += max(0, self._reached_before - self.step)
             self._reached_before = 0
+
+    def _doubts(self, progress: Progress) -> bool:
+        """Whether this report is the first of its kind. A genuine one repeats every second."""
+        key = progress.who, progress.life, progress.epoch
+        if key in self._doubted:
+            return False
+        if len(self._doubted) > MOST_DOUBTED:
+            self._doubted.clear()
+        self._doubted.add(key)
+        return True
 
     def _reach(self, who: str, step: int) -> None:
         before = self._reached[who]
@@ -316,7 +366,7 @@ class Timekeeper:
         return ((name, step) for name, step in self._reached.items() if name != RECORDER)
 
     def _times(self) -> list[Time]:
-        """Tell the time of every recorded step that the whole flock has reached."""
+        """Return the time of every recorded step that the whole flock has newly reached."""
         every = self._configuration.record_every
         steps = range(self._told + 1, self.step + 1)
         self._told = max(self._told, self.step)
@@ -331,6 +381,7 @@ class Timekeeper:
         if limit <= self._granted:
             return []
         self._granted = limit
+        self._leave = max(self._leave, limit)
         return [self.grant]
 
     def _grant(self, step: int) -> Grant:

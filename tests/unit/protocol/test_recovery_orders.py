@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orders of messages and of deaths that a protocol of recovery may stumble over, one by one."""
+"""Orders of messages and of kills that are difficult for the recovery, one by one."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from random import Random
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Ledger
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.core.stage_inbox import REACH
-from flock_sim.core.terms import agree, run_id_of, terms
-from flock_sim.core.timekeeper import Timekeeper
-from flock_sim.core.topics import RECORDER, bird_name
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from unit.mortals import CLOCK, RUN, World
+from flock_sim.messages.epochs import REACH
+from flock_sim.messages.handshake import check_handshake, handshake, run_id_of
+from flock_sim.messages.topics import RECORDER, bird_name
+from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.clock import Timekeeper
+from flock_sim.recording.row_assembler import RowAssembler
+from flock_sim.reference.integrator import Reference
+from support.crash_simulator import CLOCK, RUN, World
 
 TWO = FlockConfiguration(birds=2, t_max=8.0, record_every=1)
 
 
 def grant(step: int, epoch: int, **changes: object) -> Grant:
-    return replace(Grant(RUN, step, TWO.steps, TWO.dt, epoch, terms(TWO)), **changes)
+    return replace(Grant(RUN, step, TWO.steps, TWO.dt, epoch, handshake(TWO)), **changes)
 
 
-def flown(step: int) -> Monolith:
-    flock = Monolith(TWO)
+def flown(step: int) -> Reference:
+    flock = Reference(TWO)
     flock.advance(step)
     return flock
 
@@ -92,7 +92,8 @@ def test_a_bird_that_is_epochs_behind_goes_to_the_last_one_and_nowhere_else() ->
     assert ticks(bird.receive_checkpoint(checkpoint(2, 2))) == []
     assert ticks(bird.receive_checkpoint(checkpoint(6, 4))) == []
     assert ticks(bird.receive_grant(grant(3, 3))) == []
-    assert ticks(bird.receive_checkpoint(checkpoint(3, 3))) == []
+    # A checkpoint of a later epoch is no reason to leave this one out: anybody may send one.
+    assert ticks(bird.receive_checkpoint(checkpoint(3, 3))) == [(3, 3, 0)]
     assert ticks(bird.receive_grant(grant(0, 4))) == [(4, 6, 0)]
     before = bird.ignored
     for late in (lambda: bird.receive_grant(grant(8, 3)),
@@ -172,6 +173,28 @@ def test_epochs_beyond_belief_are_counted() -> None:
     assert bird.receive_grant(grant(0, 1 + REACH)) != []
 
 
+def test_an_epoch_beyond_belief_is_joined_when_it_is_said_again() -> None:
+    bird = bird_one()
+    assert bird.receive_checkpoint(checkpoint(5, 2 + REACH)) == []
+    assert bird.receive_grant(grant(0, 2 + REACH)) == []
+    assert ticks(bird.receive_grant(grant(0, 2 + REACH))) == [(2 + REACH, 5, 0)]
+
+
+@pytest.mark.parametrize("ahead", [2, REACH - 1, REACH, REACH + 1, 2**30])
+def test_a_clock_and_a_bird_come_together_wherever_one_message_has_sent_one(ahead: int) -> None:
+    keeper, bird = clock(), bird_one()
+    gather(keeper, 0, -1)
+    for forged in (lambda: bird.receive_grant(grant(0, 1 + ahead)),
+                   lambda: tell(keeper, 0, "bird_02", epoch=1 + ahead)):  # fmt: skip
+        forged()
+        for _ in range(4):  # what both say every second
+            for channel, data in bird.report():
+                if channel is Channel.PROGRESS:
+                    keeper.receive(Progress.decode(data))
+            bird.receive_grant(keeper.grant)
+        assert bird._session.epoch == keeper.epoch
+
+
 # --- the clock ---
 
 
@@ -216,8 +239,10 @@ def test_a_clock_goes_beyond_the_epochs_that_it_hears_of() -> None:
     assert tell(keeper, 3, "bird_01", epoch=9) == []
     assert tell(keeper, 3, "bird_02", epoch=9) == []
     assert keeper.epoch == 10
+    gather(keeper, 3, 3)
     assert tell(keeper, 3, "bird_02", epoch=11 + REACH) == []
     assert keeper.epoch == 10
+    assert tell(keeper, 3, "bird_02", epoch=11 + REACH) != []
 
 
 def test_leave_begins_anew_at_what_is_on_disk() -> None:
@@ -259,8 +284,8 @@ def test_steps_can_be_taken_one_by_one_after_a_pause_during_a_rewind() -> None:
     keeper.rewind()
     keeper.pause()
     gather(keeper, 3, 3)
-    assert keeper.grant.step == 3
-    assert [message.step for message in keeper.take_steps(2)] == [5]
+    assert keeper.grant.step == 4, "where leave had ended"
+    assert [message.step for message in keeper.take_steps(2)] == [6]
 
 
 def test_a_pause_outlives_a_rewind() -> None:
@@ -276,19 +301,19 @@ def test_a_pause_outlives_a_rewind() -> None:
     assert [message.step for message in keeper.resume()] == [8]
 
 
-# --- the recorder's ledger ---
+# --- the recorder's assembler ---
 
 
 def test_a_new_clock_that_knows_of_no_stop_flies_on_to_the_end() -> None:
-    ledger = Ledger(TWO)
-    ledger.begin(RUN, 1)
-    ledger.end_at(4)
-    ledger.begin(RUN, 2)
-    ledger.end_at(TWO.steps)
+    assembler = RowAssembler(TWO)
+    assembler.begin(RUN, 1)
+    assembler.end_at(4)
+    assembler.begin(RUN, 2)
+    assembler.end_at(TWO.steps)
     (data,) = [s for s in states(8) if State.step_of(s) == 8]
-    assert ledger.add_state(1, replace(State.decode(data), run_id=RUN, epoch=2).encode()) == []
-    assert ledger.ignored == 0
-    assert not ledger.complete
+    assert assembler.add_state(1, replace(State.decode(data), run_id=RUN, epoch=2).encode()) == []
+    assert assembler.ignored == 0
+    assert not assembler.complete
 
 
 def states(step: int) -> Iterator[bytes]:
@@ -393,13 +418,15 @@ def test_the_clock_and_a_bird_die_together_at_the_very_end(seed: int) -> None:
 
 
 def test_the_same_terms_in_other_words_are_the_same() -> None:
-    agree("bird_01", TWO, json.dumps(json.loads(terms(TWO)), indent=2, sort_keys=True))
+    check_handshake(
+        "bird_01", TWO, json.dumps(json.loads(handshake(TWO)), indent=2, sort_keys=True)
+    )
 
 
 @pytest.mark.parametrize("said", ["", "{", "[]", "1", "null", '"text"', "[" * 100_000, "{" * 9])
 def test_what_are_no_terms_is_refused_with_value_error(said: str) -> None:
     with pytest.raises(ValueError, match=r"."):
-        agree("bird_01", TWO, said)
+        check_handshake("bird_01", TWO, said)
 
 
 @pytest.mark.parametrize(
@@ -414,7 +441,7 @@ def test_what_are_no_terms_is_refused_with_value_error(said: str) -> None:
 def test_terms_that_differ_are_named(change: dict[str, object], named: str) -> None:
     other = replace(TWO, **change)
     with pytest.raises(FlockError, match=named) as refused:
-        agree("the recorder", TWO, terms(other))
+        check_handshake("the recorder", TWO, handshake(other))
     assert str(refused.value).startswith("the recorder is to fly ")
     assert "\n" not in str(refused.value)
     assert run_id_of(other) != run_id_of(TWO)
@@ -423,5 +450,5 @@ def test_terms_that_differ_are_named(change: dict[str, object], named: str) -> N
 def test_a_term_that_is_long_is_shown_in_part() -> None:
     long = ",".join(["1.01"] * 500)
     with pytest.raises(FlockError) as refused:
-        agree("bird_01", TWO, terms(replace(TWO, span_ratios=(f"1={long}",))))
+        check_handshake("bird_01", TWO, handshake(replace(TWO, span_ratios=(f"1={long}",))))
     assert len(str(refused.value)) < 300

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bird knows of its neighbours' wings, and the geometry that follows from it."""
+"""The wings of a bird's neighbours, and the geometry computed from them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.aerodynamics import even_part
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.messages import Wing
-from flock_sim.core.stage_inbox import FOREIGN, IMPOSSIBLE, STRANGE
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, STRANGE
+from flock_sim.messages.types import Wing
+from flock_sim.physics import formation
+from flock_sim.physics.aerodynamics import even_part
+from flock_sim.physics.arrays import FloatArray
 
 EARLY = 16
-"""Wings of runs not known to be ours that are kept, for each neighbour."""
+"""Most wings kept per neighbour while the own run is unknown."""
 
 
 class Neighbourhood:
@@ -24,7 +24,7 @@ class Neighbourhood:
     """
 
     def __init__(self, bird: int, configuration: FlockConfiguration) -> None:
-        """Know the wing of `bird` itself only."""
+        """Start with the wing of `bird` alone."""
         self.birds = formation.neighbours(bird, configuration.birds, configuration.coupling)
         self.geometry: FloatArray = np.empty((len(self.birds), 3, configuration.members))
         self._bird = bird
@@ -39,13 +39,13 @@ class Neighbourhood:
 
     @property
     def unknown(self) -> list[int]:
-        """The neighbours whose wings are not."""
+        """The neighbours whose wings are not known."""
         return [other for other in self.birds if other not in self._wings]
 
     def hear(self, wing: Wing, run_id: int) -> str:
-        """Learn a neighbour's wing; return why it is ignored, or nothing. `run_id` 0: not known.
+        """Store a neighbour's wing; return why it is ignored, or "". `run_id` 0: not known yet.
 
-        Wings that come before it is known whose they must be are kept for `recall`.
+        Wings that arrive before the run is known are kept for `recall`.
         """
         ratio = wing.span_ratio
         if wing.bird not in self.birds:
@@ -56,7 +56,7 @@ class Neighbourhood:
             self._early[wing.run_id, wing.bird] = wing
             if len(self._early) <= EARLY * len(self.birds):
                 return ""
-            del self._early[next(iter(self._early))]  # the oldest, which now is ignored
+            del self._early[next(iter(self._early))]  # the oldest, which is now ignored
             return FOREIGN
         if wing.run_id != run_id:
             return FOREIGN
@@ -67,7 +67,7 @@ class Neighbourhood:
         return ""
 
     def recall(self, run_id: int) -> None:
-        """Learn, now that the run is known, what came before."""
+        """Store the wings that arrived before the run was known."""
         early, self._early = self._early, {}
         for wing in early.values():
             self.hear(wing, run_id)

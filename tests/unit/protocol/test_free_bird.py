@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bird that flies freely: exact on fresh news, on time, and honest about how old its news are."""
+"""A free-flying bird: exact with current states, on time, and with correct ages of states."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from flock_sim.core import formation
-from flock_sim.core.bird_step import constants
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flight import acceleration, drag_of_pair
-from flock_sim.core.flock import Flock
-from flock_sim.core.free_bird import FreeBird
-from flock_sim.core.free_flight import check_free
-from flock_sim.core.messages import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import Channel, Outgoing
-from flock_sim.core.stage_inbox import AGAIN, FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
-from flock_sim.core.terms import terms
-from flock_sim.core.timekeeper import Timekeeper
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.run import ARRAYS
+from flock_sim.messages.handshake import handshake
+from flock_sim.messages.rejection import AGAIN, FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.types import ARRAYS, Ages, Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.physics import formation
+from flock_sim.physics.dynamics import acceleration, drag_of_pair
+from flock_sim.physics.flock import Flock
+from flock_sim.protocol.bird import Channel, Outgoing
+from flock_sim.protocol.bird_kernel import constants
+from flock_sim.protocol.clock import Timekeeper
+from flock_sim.protocol.free_bird import FreeBird
+from flock_sim.protocol.free_flight import check_free
+from flock_sim.reference.integrator import Reference
 
 RUN, EPOCH, FACTOR = 7, 3, 2.0
 BEGIN = 1000.0
@@ -32,7 +31,7 @@ BEGIN = 1000.0
 
 
 def grant(flown: FlockConfiguration, step: int, epoch: int = EPOCH, run_id: int = RUN) -> Grant:
-    return Grant(run_id, step, flown.steps, flown.dt, epoch, terms(flown, FACTOR))
+    return Grant(run_id, step, flown.steps, flown.dt, epoch, handshake(flown, FACTOR))
 
 
 def said(bird: int, step: int, values: tuple[object, ...], epoch: int = EPOCH) -> bytes:
@@ -42,7 +41,7 @@ def said(bird: int, step: int, values: tuple[object, ...], epoch: int = EPOCH) -
 
 def ready(number: int, flown: FlockConfiguration) -> FreeBird:
     """A bird that knows its neighbours, who are all at their start."""
-    bird = FreeBird(number, flown, FACTOR, life=1)
+    bird = FreeBird(number, flown, FACTOR, incarnation=1)
     bird.receive_grant(grant(flown, 0))
     for other in bird.neighbours:
         bird.receive_wing(Wing(RUN, other, flown.span_ratio[other - 1]))
@@ -51,7 +50,7 @@ def ready(number: int, flown: FlockConfiguration) -> FreeBird:
 
 
 def start_of(bird: int, flown: FlockConfiguration) -> bytes:
-    flock = Monolith(flown).observe()[:3, bird - 1]
+    flock = Reference(flown).observe()[:3, bird - 1]
     return said(bird, 0, tuple(flock))
 
 
@@ -71,7 +70,7 @@ def test_on_fresh_news_it_flies_as_the_reference_does_to_the_bit(link: str, coup
         perturbations=("3@20=0.2,-0.01",),
         links=(link,),
     )
-    rows = list(Monolith(flown).fly())
+    rows = list(Reference(flown).fly())
     for number in range(1, 5):
         bird = ready(number, flown)
         bird.receive_grant(grant(flown, flown.steps))
@@ -213,7 +212,9 @@ def test_a_new_epoch_before_the_start_changes_nothing_and_after_it_ends_the_flig
     assert [(told.epoch, told.step) for told in reached] == [(EPOCH + 1, -1), (EPOCH + 1, 0)]
     bird.receive_grant(grant(flown, 20, EPOCH + 1))
     assert bird.receive_grant(grant(flown, 0, EPOCH)) == []
-    assert bird.ignored_for == {STALE: 1}
+    # One message is not enough: a clock that begins anew says so every second.
+    assert bird.receive_grant(grant(flown, 0, EPOCH + 2)) == []
+    assert bird.ignored_for == {STALE: 1, REPEATED: 1}
     with pytest.raises(RunFailed, match=r"bird_01: .* fly it anew"):
         bird.receive_grant(grant(flown, 0, EPOCH + 2))
 
@@ -229,7 +230,7 @@ def test_a_bird_that_comes_to_a_flight_in_flight_does_not_begin() -> None:
 
 def test_a_clock_of_another_pace_or_in_lockstep_is_refused() -> None:
     flown = FlockConfiguration(birds=2, t_max=20.0)
-    for said_terms in (terms(flown), terms(flown, 3.0)):
+    for said_terms in (handshake(flown), handshake(flown, 3.0)):
         with pytest.raises(FlockError, match="real_time_factor = 2"):
             FreeBird(1, flown, FACTOR).receive_grant(replace(grant(flown, 0), terms=said_terms))
 
@@ -272,7 +273,9 @@ def test_its_clock_gives_all_leave_at_once_and_can_not_go_back() -> None:
     clock.receive(Progress(RUN, 0, EPOCH, "bird_01", 1))
     (leave,) = [m for m in clock.receive(Progress(RUN, 0, EPOCH, "bird_02", 2))
                 if isinstance(m, Grant)]  # fmt: skip
-    assert (leave.step, leave.terms) == (500, terms(flown, FACTOR))
+    assert (leave.step, leave.terms) == (500, handshake(flown, FACTOR))
     assert not clock.lost
+    clock.receive(Progress(RUN, -1, EPOCH, "bird_02", 3))
+    assert not clock.lost, "a bird that has come back says so again"
     clock.receive(Progress(RUN, -1, EPOCH, "bird_02", 3))
     assert clock.lost

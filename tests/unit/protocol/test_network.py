@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No network can change a bit of a flight: an adversary with every message in its hands."""
+"""No network can change a bit of a flight: an adversary controls every message."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Grant, Wing
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_message import HEADER, HEADER_AT
-from unit.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
-from unit.random_links import random_links
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.stage_layout import HEADER, HEADER_AT
+from flock_sim.messages.types import Grant, Wing
+from flock_sim.physics.runge_kutta import STAGES
+from support.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
+from support.random_links import random_links
 
 SPANS = ("0.9", "1.0", "1.07")
 
@@ -35,20 +35,24 @@ def configurations(draw) -> FlockConfiguration:
     if draw(st.booleans()):
         random = Random(draw(st.integers(0, 2**32 - 1)))
         links = random_links(random, birds, coupling, members if entries else 2)
+    steps = draw(st.integers(1, 8))
+    moments = st.tuples(st.integers(1, birds), st.integers(0, steps))
+    pushes = draw(st.lists(moments, max_size=3))
     return FlockConfiguration(
         birds=birds,
         coupling=coupling,
         dt=dt,
-        t_max=dt * draw(st.integers(1, 8)),
+        t_max=dt * steps,
         record_every=draw(st.integers(1, 3)),
         span_ratios=tuple(entries),
+        perturbations=tuple(f"{bird}@{step}=0.1,-0.003" for bird, step in pushes),
         links=links,
     )
 
 
 def two_exchanges_ahead(header, network, to, more=0):
     """Further than a neighbour can be: it has to hear the one between from this bird first."""
-    after = network.configuration.linkage.timetable.after
+    after = network.configuration.link_table.exchange_schedule.after
     step, stage = divmod(after(after(max(network.log[to].tick, 0))) + more, STAGES)
     return header[0], step, *header[2:4], stage, header[5]
 
@@ -220,8 +224,11 @@ class Adversary(RuleBasedStateMachine):
         network.in_flight += self.lost
         network.deliver_all(self.random)
         # Each time that all who wait say so again, somebody goes on by an exchange or more.
-        timetable, steps = network.configuration.linkage.timetable, network.configuration.steps
-        for _ in range(timetable.exchanges(0, steps) + 1):
+        exchange_schedule, steps = (
+            network.configuration.link_table.exchange_schedule,
+            network.configuration.steps,
+        )
+        for _ in range(exchange_schedule.exchanges(0, steps) + 1):
             for bird in network.birds:
                 network.say_again(bird)
             network.deliver_all(self.random)

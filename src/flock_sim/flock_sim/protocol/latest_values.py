@@ -1,66 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one bird knows of its neighbours in a free flight: the latest that the network brought.
+"""Values that one bird has of its neighbours in a free flight: the latest received ones.
 
-Nothing is awaited and nothing decided here: which message is the latest, and how old it is when it
-is used, is up to the network. The model of a link makes of it what is known, as in lockstep.
+The bird does not wait. The network alone determines which message is the latest, and how old it is
+when it is used. The link model computes the known values from it, as in lockstep.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray, IntArray, kernel
-from flock_sim.core.links.linear import LINEAR
-from flock_sim.core.links.registry import MODELS, know
-from flock_sim.core.links.settings import Settings
-from flock_sim.core.messages import Stage
-from flock_sim.core.runge_kutta import NODES
-from flock_sim.core.stage_message import FIRST_WORD, stage_words
-from flock_sim.errors import FlockError
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.links.choice import perceive
+from flock_sim.links.linear import LINEAR
+from flock_sim.links.registry import MODELS
+from flock_sim.links.settings import Settings
+from flock_sim.messages.stage_layout import FIRST_WORD, stage_words
+from flock_sim.messages.types import Stage
+from flock_sim.physics.arrays import FloatArray, IntArray
+from flock_sim.physics.compile import kernel
+from flock_sim.physics.runge_kutta import NODES
 
 POSITION, SPEED, CIRCULATION, RATE = range(4)
 
 
-def check_links(configuration: FlockConfiguration) -> None:
-    """Raise FlockError where a link of the flock is set to have what only lockstep can give it."""
-    for settings in configuration.linkage.used():
-        if not settings.faultless or settings.interval > 1:
-            raise FlockError(
-                f"link {settings.text!r}: in a free flight the network itself is late and loses, "
-                f"and every step is sent; leave out all but {MODELS[settings.model].name}"
-            )
-
-
-class Latest:
-    """The latest state of each of `neighbours` of a bird; before there is one, nothing is felt."""
+class LatestValues:
+    """The latest state of each of a bird's `neighbours`; one without a state causes no drag."""
 
     def __init__(
         self, bird: int, neighbours: tuple[int, ...], configuration: FlockConfiguration
     ) -> None:
-        """Have heard nothing."""
-        members, linkage = configuration.members, configuration.linkage
+        """Start without any state."""
+        members, link_table = configuration.members, configuration.link_table
         self._dt = configuration.dt
         self._place = {other: k for k, other in enumerate(neighbours)}
         self._models = np.array(
-            [_model(linkage.of(other, bird)) for other in neighbours], dtype=np.int64
+            [_model(link_table.of(other, bird)) for other in neighbours], dtype=np.int64
         )
         self._values = np.zeros((len(neighbours), RATE + 1, members))
         self._known = np.zeros((2, len(neighbours), stage_words(members)))
         self.steps: IntArray = np.full(len(neighbours), -1, dtype=np.int64)
-        """The step of each state, shape (neighbours,); -1 where there is none."""
+        """The step of each state, shape (neighbours,); -1 without a state."""
         self.sent: FloatArray = np.full(len(neighbours), -np.inf)
-        """When it was sent, in s of the clock that the bird flies by, shape (neighbours,)."""
+        """Time at which each state was sent, in s of the bird's clock, shape (neighbours,)."""
 
     @property
     def complete(self) -> bool:
-        """Whether every neighbour has been heard."""
+        """Whether a state of every neighbour has arrived."""
         return bool(np.all(self.steps >= 0))
 
     def take(self, message: Stage, sent: float) -> bool:
-        """Take the state at the beginning of a step; return whether it is newer than what is known.
+        """Take the state at the beginning of a step; return whether it is newer than the last.
 
-        `sent` is when it was sent, in s.
+        `sent` is the time at which it was sent, in s.
         """
         k = self._place[message.bird]
         before = int(self.steps[k])
@@ -76,16 +67,16 @@ class Latest:
         return True
 
     def known(self, step: int, stage: int) -> FloatArray:
-        """Return what is known at a stage of `step`, as `feel_and_move` takes it."""
+        """Return the known values at a stage of `step`, as `feel_and_move` takes them."""
         _fill(step, stage, self._dt, self._models, self.steps, self._values, self._known[stage & 1])
         return self._known
 
 
 def _model(settings: Settings) -> int:
-    """Return the place in MODELS of the model that is flown freely by.
+    """Return the index in MODELS of the model that a free flight uses.
 
-    A model that needs a message for every Runge-Kutta stage can't be had without waiting; what
-    comes nearest to it is to move the neighbour on.
+    A model that needs a message for every Runge-Kutta stage would need waiting. The linear model is
+    the nearest one without.
     """
     return MODELS.index(LINEAR) if settings.every_stage else settings.model
 
@@ -106,7 +97,7 @@ def _fill(
     for k in range(values.shape[0]):
         age = (step - steps[k] + NODES[stage]) * dt
         for m in range(members):
-            known[k, FIRST_WORD + m], known[k, circulation + m] = know(
+            known[k, FIRST_WORD + m], known[k, circulation + m] = perceive(
                 models[k],
                 age,
                 values[k, POSITION, m],

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flock whose birds, clock and recorder die and come back, in the hands of a test.
+"""A simulated flock whose birds, clock and recorder a test kills and restarts.
 
-Everything is as on ROS 2 topics that are reliable and latched, made worse: every message on its way
-may be delayed, overtaken by any other and doubled. A writer keeps the last messages of each topic
-for readers who come later, and takes them along when it dies; what it has in flight then arrives or
-does not. A queue that is full loses its oldest message.
+Topics are reliable and latched as in ROS 2, with additional faults: every message in flight may be
+delayed, reordered and duplicated. A publisher keeps the last messages of each topic for late
+joiners, until it dies. Its messages in flight are then delivered or lost. A full queue loses its
+oldest message.
 
-`World` checks what must hold at every moment; `settle` lets everything living be delivered and
-checks what must come of it.
+`World` checks the invariants at every moment. `settle` delivers all messages to live processes and
+checks the result.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.messages import (
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages.epochs import NEVER, REACH, ahead
+from flock_sim.messages.topics import RECORDER, bird_name
+from flock_sim.messages.types import (
     Checkpoint,
     Grant,
     Memory,
@@ -33,22 +34,22 @@ from flock_sim.core.messages import (
     Time,
     Wing,
 )
-from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_inbox import NEVER
-from flock_sim.core.timekeeper import Timekeeper
-from flock_sim.core.topics import RECORDER, bird_name
-from unit.network import expected_states
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.clock import Timekeeper
+from flock_sim.protocol.session import Session
+from flock_sim.recording.row_assembler import Row, RowAssembler
+from support.network import expected_states
 
 RUN = 7
 CLOCK = "clock"
 QUIET_ROUNDS = 4
-"""Reports of everybody that may pass without any message that moves the flock: then it is stuck."""
+"""Rounds of reports without progress of the flock after which it counts as stuck."""
 
 
 @dataclass(eq=False)
 class Queue:
-    """What one process has said to another on one topic, and has not arrived."""
+    """The messages in flight from one process to another on one topic."""
 
     sender: Process
     to: Process
@@ -58,7 +59,7 @@ class Queue:
 
 @dataclass(eq=False)
 class Process:
-    """One life of a bird, the clock or the recorder."""
+    """One incarnation of a bird, the clock or the recorder."""
 
     who: str
     life: int
@@ -68,10 +69,11 @@ class Process:
 
 
 class Disk:
-    """What the recorder has put on disk; it outlives it."""
+    """The recorder's data on disk, which survive its death."""
 
     def __init__(self) -> None:
         self.rows: list[Row] = []
+        self.epoch = NEVER  # the last epoch with a grant on disk
 
     @property
     def saved(self) -> int:
@@ -79,34 +81,43 @@ class Disk:
 
 
 class Recorder:
-    """The recorder without ROS and without a bag: a Ledger, and a disk that is flushed at times."""
+    """The recorder without ROS and bag: a RowAssembler, and a disk that is flushed at times."""
 
     def __init__(self, world: World, life: int) -> None:
-        self.ledger = Ledger(world.configuration, world.stages, world.disk.saved)
+        self.assembler = RowAssembler(world.configuration, world.stages, world.disk.saved)
         self.joined = False
         self.released = False
         self._world = world
-        self._life = life
-        self._epoch = NEVER
+        self._incarnation = life
+        self._session = Session("the recorder", world.configuration, RUN)
         self._written: list[Row] = []
 
+    @property
+    def _epoch(self) -> int:
+        return self._session.epoch
+
     def hear_grant(self, grant: Grant) -> None:
-        if grant.epoch < self._epoch:
+        disk = self._world.disk
+        if self._session.refuses_grant(grant):
             return
-        if grant.epoch > self._epoch:
-            self._epoch = grant.epoch
+        if self._epoch == NEVER and ahead(grant.epoch, disk.epoch) < 0:
+            self._say_saved(disk.epoch)
+            return
+        if self._session.take_grant(grant):
             self._flush()
-            self.ledger.begin(RUN, grant.epoch)
-            self.joined = False
+            if not self.assembler.complete:
+                disk.epoch = grant.epoch
+            self.assembler.begin(RUN, grant.epoch)
+            self.joined = self.released = False
         self.released |= grant.step > grant.end
-        self.ledger.end_at(grant.end)
+        self.assembler.end_at(grant.end)
 
     def join(self) -> None:
-        """Say where the epoch begins, once every bird's topics are found."""
+        """Publish the checkpoint of the epoch once the topics of all birds are found."""
         if self._epoch == NEVER or self.joined:
             return
-        if self.ledger.complete or self._world.all_birds_live:
-            self.joined = True
+        if self.assembler.complete or self._world.all_birds_live:
+            self.joined = self._session.flying = True
             self._world.publish(RECORDER, topics.CHECKPOINT_TOPIC, self._checkpoint().encode())
             self.report()
 
@@ -120,8 +131,11 @@ class Recorder:
 
     def report(self) -> None:
         if self.joined:
-            saved = Progress(RUN, self._world.disk.saved, self._epoch, RECORDER, self._life)
-            self._world.publish(RECORDER, topics.PROGRESS_TOPIC, saved.encode())
+            self._say_saved(self._epoch)
+
+    def _say_saved(self, epoch: int) -> None:
+        saved = Progress(RUN, self._world.disk.saved, epoch, RECORDER, self._incarnation)
+        self._world.publish(RECORDER, topics.PROGRESS_TOPIC, saved.encode())
 
     def _flush(self) -> None:
         self._world.put_on_disk(self._written)
@@ -145,7 +159,7 @@ class Recorder:
 
 
 class World:
-    """A flock and all who serve it; nobody is there until `bring` brings them."""
+    """A flock with its clock and recorder. It is empty until `bring` starts processes."""
 
     def __init__(
         self,
@@ -165,17 +179,16 @@ class World:
         self.everybody = [*self.birds, CLOCK, *([RECORDER] if record else [])]
         self.living: dict[str, Process] = {}
         self.twins: list[Process] = []
-        """Those who live, and whose place another has taken all the same."""
+        """Live processes that have been replaced by a new incarnation."""
         self.queues: dict[tuple[int, int, str], Queue] = {}
         self.disk = Disk()
         self.over = False
-        """Whether the clock has let everybody go: it hears nothing any more."""
+        """Whether the clock has released all processes: it then ignores messages."""
         self.ordered = random.random() < 0.7
-        """Whether what one writer says on one topic comes in order, as DDS has it."""
+        """Whether the messages of one publisher on one topic keep their order, as in DDS."""
         self.stopped_at: int | None = None
         self.deaths = 0
-        self._epochs = 0  # the latest that any clock has begun
-        self._lives = 0
+        self._incarnations = 0
         self._states = {
             bird_name(bird): states for bird, states in expected_states(configuration).items()
         }
@@ -199,13 +212,13 @@ class World:
         return self.living[bird_name(number)].core
 
     def bring(self, *names: str) -> None:
-        """Start a process for each, a twin's if there is one: what is latched is on its way."""
+        """Start a process for each name, also beside a live one. Queue latched messages."""
         for who in names:
-            self._lives += 1
+            self._incarnations += 1
             make = {CLOCK: self._clock, RECORDER: self._recorder}.get(who, self._bird)
             if who in self.living:
                 self.twins.append(self.living[who])
-            newcomer = self.living[who] = make(who, self._lives)
+            newcomer = self.living[who] = make(who, self._incarnations)
             for other in [*self.living.values(), *self.twins]:
                 if other is not newcomer:
                     for topic in (name for name in newcomer.hears if name in other.latched):
@@ -216,7 +229,7 @@ class World:
         self._look_around()
 
     def kill(self, *names: str) -> None:
-        """Let some die: whatever they had in flight arrives, or does not."""
+        """Kill processes. Their messages in flight are delivered or lost."""
         for who in names:
             gone = self.living.pop(who)
             self.deaths += 1
@@ -224,7 +237,7 @@ class World:
                 if queue.to is gone:
                     del self.queues[key]
                 elif queue.sender is gone:
-                    # Of those on their way the first ones may arrive.
+                    # A random number of the first messages in flight is kept.
                     del queue.messages[self.random.randint(0, len(queue.messages)) :]
 
     def _bird(self, who: str, life: int) -> Process:
@@ -248,10 +261,8 @@ class World:
         return process
 
     def _clock(self, who: str, life: int) -> Process:
-        self._epochs += self.random.randint(1, 3)
-        keeper = Timekeeper(
-            self.configuration, RUN, self.window, self.record, self.stages, self._epochs
-        )
+        epoch = self.random.randint(1, REACH)
+        keeper = Timekeeper(self.configuration, RUN, self.window, self.record, self.stages, epoch)
 
         def hear(data: bytes) -> None:
             if not self.over:
@@ -261,7 +272,7 @@ class World:
 
     def _recorder(self, who: str, life: int) -> Process:
         recorder = Recorder(self, life)
-        ledger = recorder.ledger
+        assembler = recorder.assembler
 
         def hears(add: Callable[..., list[Row]], *what: int) -> Callable[[bytes], None]:
             return lambda data: recorder.write(add(*what, data))
@@ -269,20 +280,20 @@ class World:
         process = Process(who, life, recorder)
         process.hears = {
             topics.GRANT_TOPIC: lambda data: recorder.hear_grant(Grant.decode(data)),
-            topics.CLOCK_TOPIC: hears(ledger.add_time),
+            topics.CLOCK_TOPIC: hears(assembler.add_time),
         }
         for bird in range(1, self.configuration.birds + 1):
-            process.hears[topics.wing_topic(bird)] = hears(ledger.add_wing, bird)
-            process.hears[topics.state_topic(bird)] = hears(ledger.add_state, bird)
-            process.hears[topics.memory_topic(bird)] = hears(ledger.add_memory, bird)
+            process.hears[topics.wing_topic(bird)] = hears(assembler.add_wing, bird)
+            process.hears[topics.state_topic(bird)] = hears(assembler.add_state, bird)
+            process.hears[topics.memory_topic(bird)] = hears(assembler.add_memory, bird)
             if self.stages:
-                process.hears[topics.stage_topic(bird)] = hears(ledger.add_stage, bird)
+                process.hears[topics.stage_topic(bird)] = hears(assembler.add_stage, bird)
         return process
 
     # --- messages ---
 
     def publish(self, who: str, topic: str, data: bytes) -> None:
-        """Put a message on its way to all who listen now, and keep it for those to come."""
+        """Send a message to all current listeners, and keep it for late joiners."""
         self._publish(self.living[who], topic, data)
 
     def _publish(self, sender: Process, topic: str, data: bytes) -> None:
@@ -293,7 +304,7 @@ class World:
                 self._post(sender, listener, topic, data)
 
     def _post(self, sender: Process, to: Process, topic: str, data: bytes) -> None:
-        """Put a message on its way; a queue that is full loses its oldest, at the worst."""
+        """Queue a message. A full queue may lose its oldest message."""
         key = sender.life, to.life, topic
         queue = self.queues.setdefault(key, Queue(sender, to, topic)).messages
         queue.append(data)
@@ -324,7 +335,6 @@ class World:
         for message in messages:
             if isinstance(message, Grant):
                 self._check_leave(message)
-                self._epochs = max(self._epochs, message.epoch)
             topic = {
                 Grant: topics.GRANT_TOPIC,
                 Time: topics.CLOCK_TOPIC,
@@ -350,7 +360,7 @@ class World:
 
     def _check_stages(self, row: Row) -> None:
         steps = range(max(0, row.step - self.configuration.record_every), row.step)
-        due = self.configuration.linkage.timetable.due
+        due = self.configuration.link_table.exchange_schedule.due
         every = [STAGES * step + stage for step in steps for stage in range(STAGES)]
         ticks = [tick for tick in every if due(tick)]
         stages = [(bird, Stage.decode(data)) for bird, data in row.stages]
@@ -358,10 +368,10 @@ class World:
             (tick, bird, bird) for tick in ticks for bird in range(1, len(self.birds) + 1)
         ]
 
-    # --- what an adversary may do ---
+    # --- actions of an adversary ---
 
     def deliverable(self, to: str | None = None) -> list[Queue]:
-        """The queues from which their receivers would take something now."""
+        """The queues from which their receivers would take a message now."""
         return [
             queue
             for queue in self.queues.values()
@@ -371,13 +381,13 @@ class World:
     def _takes(self, queue: Queue) -> bool:
         receiver = queue.to.core
         if queue.to.who == RECORDER:
-            # It leaves everything but grants where it is until it has joined the epoch.
+            # The recorder takes only grants until it has joined the epoch.
             return queue.topic == topics.GRANT_TOPIC or bool(receiver.joined)
-        # What a bird keeps is bounded, and relies on order: without, it has to look later.
+        # A bird's inbox is bounded and relies on order. Without order, stages are taken later.
         return self.ordered or not queue.topic.endswith("/stage") or receiver.in_flight
 
     def deliver(self, queue: Queue, *, copy: bool = False) -> None:
-        """Deliver the next message of a queue (any one where there is no order), or a copy."""
+        """Deliver the next message of a queue (any message if not `ordered`), or a copy."""
         at = 0 if self.ordered else self.random.randrange(len(queue.messages))
         data = queue.messages[at] if copy else queue.messages.pop(at)
         queue.to.hears[queue.topic](data)
@@ -406,7 +416,7 @@ class World:
             self.living[RECORDER].core.keep_safe()
 
     def report(self) -> None:
-        """Let everybody say again where they are, as they do every second."""
+        """Let all processes repeat their reports, as they do every second."""
         for who, process in list(self.living.items()):
             if who == CLOCK:
                 if not self.over:
@@ -426,7 +436,7 @@ class World:
     # --- the end ---
 
     def settle(self) -> None:
-        """Let everybody live and hear everything; then the flight is what it should be."""
+        """Start all dead processes and deliver all messages. Then check the flight."""
         if not self.over:
             self.bring(*self.random.sample(self.dead, k=len(self.dead)))
             self.resume()
@@ -438,7 +448,7 @@ class World:
             self.flush()
             if self.deliverable():
                 continue
-            if self.over:
+            if self.over and quiet:
                 break
             self.report()
             quiet = quiet + 1 if self._position() == seen else 0
@@ -450,7 +460,10 @@ class World:
         return (
             self.over,
             self.disk.saved,
-            [(p.who, p.core.step, p.core.in_flight, p.core._epoch) for p in self._live_birds()],
+            [
+                (p.who, p.core.step, p.core.in_flight, p.core._session.epoch)
+                for p in self._live_birds()
+            ],
             (self.keeper.epoch, self.keeper.step) if CLOCK in self.living else None,
         )
 
@@ -485,4 +498,4 @@ class World:
             assert process.core.finished
         if RECORDER in self.living:
             assert self.living[RECORDER].core.released
-            assert self.living[RECORDER].core.ledger.complete
+            assert self.living[RECORDER].core.assembler.complete

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A leg: the stages up to the next step at which a bird has more to do than to exchange them.
+"""The fast path: the stages up to the next step at which a bird does more than exchange them.
 
-Nearly all of a flight is legs. What a bird is on one is a row of words that compiled code goes on
-with (`nodes/exchange.py`), without any Python between a message and the next. The protocol embarks
-on a leg, and lands from it wherever it is; in between it knows nothing of what is flown.
+Nearly all of a flight is on it. There the bird is a row of words, which compiled code
+(`ros/compiled_exchange.py`) advances without any Python between two messages. The protocol enters
+the fast path and leaves it. In between the protocol does not know the state of the bird.
 """
 
 from __future__ import annotations
@@ -13,46 +13,46 @@ from collections.abc import Set as AbstractSet
 
 import numpy as np
 
-from flock_sim.core.kernel import FloatArray, IntArray
-from flock_sim.core.stage_message import stage_bytes
+from flock_sim.messages.stage_layout import stage_bytes
+from flock_sim.physics.arrays import FloatArray, IntArray
 
-# The words: where the leg is and where it ends, in ticks, and what is in all of its messages.
+# The words: the current tick, the end tick, and the constant fields of the bird's messages.
 TICK, END, RUN_ID, EPOCH, BIRD, MEMBERS, NEIGHBOURS, SIZE = range(8)
-# How many messages of other runs came on the way; the tick when somebody last went on.
+# Number of messages of other runs since the entry; tick at the begin of the last `exchange`.
 FOREIGN, BEFORE = 8, 9
-# The addresses of the arrays that `feel_and_move` is given.
+# The addresses of the array arguments of `feel_and_move`.
 OWN, GEOMETRY, HEARD, MINE, WORK = range(10, 15)
-# Those of what messages are sent by, and taken into; and of the stage messages of the bird itself,
-# of even ticks and of odd ones.
+# The addresses of the publisher, of the buffer for incoming messages, and of the bird's own stage
+# messages: of even ticks and of odd ticks.
 PUBLISHER, INCOMING, OUTGOING = 15, 16, 17
-# The header of the message that is looked at: four words.
+# The header of the message being checked: four words.
 HEADER = 19
-# For each neighbour: its number, the address of what its messages are taken by, and whether those
-# of even and of odd ticks are here.
+# For each neighbour: its number, the address of the subscription to it, and whether its messages
+# of the even tick and of the odd tick have arrived.
 FIRST = 23
 NAME, SUBSCRIPTION, HERE = range(3)
 EACH = 4
 
 Lacking = tuple[AbstractSet[int], AbstractSet[int]]
-"""The neighbours whose messages are not here: of even ticks, and of odd ones."""
+"""The neighbours whose messages have not arrived: of the even tick, and of the odd tick."""
 
 
-class Leg:
-    """The words of one bird's legs. They are of one bird, and of one leg after the other."""
+class FastPath:
+    """The words of one bird's exchange. They are reused for each part of the flight."""
 
     def __init__(
         self, bird: int, neighbours: Sequence[int], members: int, arrays: Sequence[FloatArray]
     ) -> None:
-        """Be of `bird`; `arrays`, OWN to WORK, stay where they are, and are kept."""
+        """Make the words of `bird`; keep `arrays`, OWN to WORK, which must not move in memory."""
         self.words: IntArray = np.zeros(FIRST + EACH * len(neighbours), np.int64)
         self._arrays = arrays
-        self._word = self.words.data  # a word of it costs less than one of an array
+        self._word = self.words.data  # its items are faster to read than those of an array
         self._places = {other: FIRST + EACH * k for k, other in enumerate(neighbours)}
         size = len(stage_bytes(arrays[MINE - OWN][0], members))
         self.words[BIRD : SIZE + 1] = bird, members, len(neighbours), size
         for address, array in enumerate(arrays, start=OWN):
             if not array.flags.c_contiguous:
-                raise ValueError(f"array {address - OWN} of a leg is not contiguous")
+                raise ValueError(f"array {address - OWN} of a fast path is not contiguous")
             self.words[address] = array.ctypes.data
         for other, place in self._places.items():
             self.words[place + NAME] = other
@@ -60,13 +60,13 @@ class Leg:
     def connect(
         self, publisher: int, incoming: int, outgoing: Sequence[int], inlets: Sequence[int]
     ) -> None:
-        """Take note of the addresses from PUBLISHER on, and of the neighbours' `inlets`."""
+        """Store the addresses from PUBLISHER on, and those of the neighbours' `inlets`."""
         self.words[PUBLISHER:HEADER] = publisher, incoming, *outgoing
         for place, inlet in zip(self._places.values(), inlets, strict=True):
             self.words[place + SUBSCRIPTION] = inlet
 
     def begin(self, tick: int, end: int, run_id: int, epoch: int, lacking: Lacking) -> None:
-        """Be at `tick`, its message sent, with those of the neighbours that are not `lacking`."""
+        """Start at `tick`: its message is sent, and all messages but the `lacking` are here."""
         word = self._word
         word[TICK], word[END], word[EPOCH], word[FOREIGN] = tick, end, epoch, 0
         word[RUN_ID] = run_id - (run_id >> 63 << 64)  # the same bits, with a sign
@@ -82,22 +82,22 @@ class Leg:
 
     @property
     def over(self) -> bool:
-        """Whether the end is reached: the values of that tick are known, and not sent yet."""
+        """Whether the end is reached: the values of that tick are known, but not sent yet."""
         return bool(self._word[TICK] >= self._word[END])
 
     @property
     def moved(self) -> bool:
-        """Whether a stage was flown when somebody last went on."""
+        """Whether the last call of `exchange` flew a stage."""
         return bool(self._word[TICK] > self._word[BEFORE])
 
     @property
     def foreign(self) -> int:
-        """How many messages of other runs were left out."""
+        """Number of messages of other runs, which were ignored."""
         return int(self._word[FOREIGN])
 
     @property
     def lacking(self) -> Lacking:
-        """The neighbours whose messages are not here."""
+        """The neighbours whose messages have not arrived."""
         even, odd = (
             {other for other, place in self._places.items() if not self._word[place + HERE + side]}
             for side in range(2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The clock grants no more than its window, nor more than the recorder can still save."""
+"""The clock grants at most its window, and at most what the recorder can still save."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Grant, Progress, Time
-from flock_sim.core.terms import terms
-from flock_sim.core.timekeeper import ABSENT, Timekeeper, new_run_id
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages import topics
+from flock_sim.messages.epochs import REACH, ahead
+from flock_sim.messages.handshake import handshake
+from flock_sim.messages.rejection import STALE
+from flock_sim.messages.types import Grant, Progress, Time
+from flock_sim.protocol.clock import ABSENT, Timekeeper, new_run_id
 
 RUN = 7
 
@@ -45,7 +47,7 @@ BIRDS = ("bird_01", "bird_02")
 
 def test_nobody_may_go_before_all_are_there() -> None:
     keeper = clock(record=True)
-    assert keeper.first_messages == [Grant(RUN, 0, 20, 1.0, 1, terms(keeper._configuration))]
+    assert keeper.first_messages == [Grant(RUN, 0, 20, 1.0, 1, handshake(keeper._configuration))]
     assert granted(reach(keeper, 0, "bird_01")) == []
     assert granted(reach(keeper, 0, "bird_02")) == []
     assert keeper.waiting_for == ["recorder"]
@@ -210,3 +212,94 @@ def test_a_push_by_nothing_is_refused() -> None:
         keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=0.0)
     assert keeper.rewinds.count == 0
     assert keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=1e-3)[0] == 10
+
+
+def test_steps_asked_for_before_the_flight_begins_count_from_where_it_goes_on() -> None:
+    keeper = clock(record=True, window=100, t_max=1000.0)
+    assert keeper.take_steps(50) == []
+    assert not keeper.leave_known
+    reach(keeper, 300, "recorder")  # a flight that is resumed
+    assert granted(reach(keeper, 300, *BIRDS)) == [350]
+    assert keeper.pauses_at == 350
+
+
+def test_a_pause_asked_for_before_the_flight_begins_is_where_it_goes_on() -> None:
+    keeper = clock(record=True, t_max=1000.0)
+    keeper.pause()
+    reach(keeper, 300, "recorder")
+    assert granted(reach(keeper, 300, *BIRDS)) == []
+    assert keeper.paused
+    assert keeper.pauses_at == 300
+    assert [grant.step for grant in keeper.take_steps(2)] == [302]
+
+
+def test_a_pause_during_a_rewind_is_where_leave_ended_before_it() -> None:
+    keeper = clock(record=True, window=100, t_max=1000.0)
+    reach(keeper, 0, *BIRDS, "recorder")
+    (leave,) = granted(reach(keeper, 20, *BIRDS)[-1:])
+    keeper.perturb(bird=1, member=0, step=0, position=0.1, speed=0.0)
+    keeper.pause()
+    assert keeper.pauses_at == leave
+    assert keeper.take_steps(50) == []
+    assert keeper.pauses_at == leave + 50
+
+
+@pytest.mark.parametrize("members", [1, 400, 2000])
+def test_a_push_of_all_members_is_one_message_whose_number_is_its_epoch(members: int) -> None:
+    ratios = ",".join(["1.0"] * members)
+    keeper = clock(record=True, span_ratios=(f"1={ratios}",))
+    reach(keeper, 0, *BIRDS, "recorder")
+    step, (push, grant) = keeper.perturb(bird=2, member=0, step=0, position=0.1, speed=0.0)
+    assert len(push.each(members)) == members
+    assert push.number == grant.epoch == grant.perturbation == 2
+    assert step == push.step == 5
+
+
+def test_the_epoch_after_the_last_is_the_first() -> None:
+    keeper = Timekeeper(FlockConfiguration(birds=2), RUN, 4, False, epoch=2**32 - 1)
+    (grant, _) = keeper.rewind()
+    assert grant.epoch == 1
+    assert ahead(1, 2**32 - 1) > 0
+    assert ahead(2**32 - 1, 1) < 0
+    assert reach(keeper, 0, "bird_01", epoch=2**32 - 1) == []
+    assert keeper.ignored_for == {STALE: 1}
+
+
+def test_a_clock_in_flight_believes_an_epoch_that_is_far_ahead_when_it_is_said_again() -> None:
+    keeper = clock()
+    reach(keeper, 0, *BIRDS)
+    for epoch in (REACH + 2, 2**30, 2**31 - 1):
+        assert reach(keeper, 0, "bird_01", epoch=epoch) == []
+    assert keeper.epoch == 1
+    assert keeper.ignored_for.total() == 3
+    # A bird that has come there by somebody else's grant says so every second.
+    assert [grant.epoch for grant in reach(keeper, 0, "bird_01", epoch=2**30)][:1] == [2**30 + 1]
+
+
+def pushed(keeper: Timekeeper, step: int) -> str:
+    """The words with which a push is refused."""
+    with pytest.raises(FlockError) as refused:
+        keeper.perturb(bird=1, member=1, step=step, position=0.1, speed=0.0)
+    assert keeper.rewinds.count == 0
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("step", [0, 5, 20, 21])
+def test_a_push_that_comes_too_late_is_told_so(step: int) -> None:
+    keeper = clock(window=100, record=True)
+    reach(keeper, 0, *BIRDS, "recorder")
+    assert keeper.grant.step == 20
+    told = pushed(keeper, step)
+    assert "too late" in told
+    assert "up to step 20, where the flight ends" in told
+    assert "21" not in told, "of which no user has asked"
+
+
+def test_a_push_is_told_when_it_can_be() -> None:
+    keeper = clock(window=4, record=True)
+    reach(keeper, 0, *BIRDS, "recorder")
+    for step in (4, 21):
+        assert f"step = {step}: must be 5..20" in pushed(keeper, step)
+    keeper.stop()
+    assert "too late" in pushed(keeper, 0)
+    assert "up to step 4, where the flight ends" in pushed(keeper, 20)

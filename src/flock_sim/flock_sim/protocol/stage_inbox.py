@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the stage messages of a bird's neighbours arrive.
+"""The inbox for the stage messages of a bird's neighbours.
 
-There are two slots for each neighbour, this exchange's and the next one's; what belongs to neither
-is not for us, or not now, and the reason is told.
+Each neighbour has two slots: one for this exchange and one for the next. A message for neither slot
+is ignored, with a reason, or kept for a later epoch.
 """
 
 from __future__ import annotations
@@ -11,11 +11,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.leg import Lacking
-from flock_sim.core.links.timetable import Timetable
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_message import (
+from flock_sim.links.exchange_schedule import ExchangeSchedule
+from flock_sim.messages.epochs import NEVER, REACH, ahead, before
+from flock_sim.messages.rejection import (
+    AGAIN,
+    FOREIGN,
+    IMPOSSIBLE,
+    MISSHAPEN,
+    REPEATED,
+    STALE,
+    STRANGE,
+)
+from flock_sim.messages.stage_layout import (
     HEADER,
     HEADER_AT,
     HEADER_END,
@@ -23,49 +30,37 @@ from flock_sim.core.stage_message import (
     stage_header,
     stage_words,
 )
-
-FOREIGN = "of another run"
-STRANGE = "not from a neighbour"
-MISSHAPEN = "of a wrong length"
-MALFORMED = "that can't be read"
-STALE = "of an epoch that is over"
-AGAIN = "that were heard before"
-REPEATED = "for a stage already passed or out of reach"
-IMPOSSIBLE = "with values that the sender can't have"
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.fast_path import Lacking
 
 EARLY = 8
-"""Messages of epochs that are still to begin that are kept, for each neighbour."""
-
-REACH = 2**24
-"""Epochs beyond the present one that are believed; those of a new clock begin with the seconds."""
-
-NEVER = -1
-"""Of no epoch: nothing has begun."""
+"""Most messages of later epochs kept per neighbour."""
 
 
 class StageInbox:
     """The inbox of one bird. `heard` has shape (2, neighbours, words): one exchange and the next.
 
-    Where there is one at every tick, the first is that of even ticks.
+    If every tick has an exchange, index 0 is that of even ticks.
     """
 
     def __init__(
         self,
         neighbours: Sequence[int],
         members: int,
-        timetable: Timetable | None = None,
+        exchange_schedule: ExchangeSchedule | None = None,
         run_id: int = 0,
     ) -> None:
-        """Be closed: stages come in once an epoch is open. `run_id` 0: not known yet."""
-        self._timetable = timetable or Timetable()
-        self.every_tick = self._timetable.every_tick
+        """Start closed: no stages are taken before `open`. `run_id` 0: not known yet."""
+        self._exchange_schedule = exchange_schedule or ExchangeSchedule()
+        self.every_tick = self._exchange_schedule.every_tick
         """Whether stages are exchanged at every tick."""
         self.side = 0
-        """The place in `heard` of this exchange; between two, of the one before."""
+        """The index in `heard` of this exchange; between two exchanges, of the last one."""
         self.heard: FloatArray = np.zeros((2, len(neighbours), stage_words(members)))
         self.size = len(stage_bytes(np.zeros(stage_words(members)), members))
-        # The headers of the messages that this stage still lacks, and the next one, each with the
-        # neighbour that it is of.
+        # The headers of the messages that this exchange and the next one lack, each with its
+        # neighbour.
         self.lacking: dict[bytes, int] = {}
         self._next: dict[bytes, int] = {}
         self._early: dict[int, dict[bytes, bytes]] = {other: {} for other in neighbours}
@@ -77,28 +72,28 @@ class StageInbox:
         self._members = members
         self._run_id = run_id
         self._epoch = NEVER
-        self._tick = NEVER  # of this exchange; between two, of the one before
+        self._tick = NEVER  # of this exchange; between two exchanges, of the last one
         self._at_start = False
 
     def close(self, run_id: int, epoch: int) -> None:
-        """Wait for `epoch` of the run to be opened: what comes for it is kept."""
+        """Close until `epoch` of the run is opened; keep the messages that arrive for it."""
         self._run_id, self._epoch = run_id, epoch
         self.lacking, self._next = {}, {}
         self._tick = NEVER
-        self._forget_early(epoch - 1)
+        self._forget_early(before(epoch))
 
     def open(self, tick: int) -> bool:
-        """Begin the epoch at `tick` = 4 step + stage, and take what has come for it already.
+        """Begin the epoch at `tick` = 4 step + stage, and take the messages kept for it.
 
-        At the start of a flight, tick 0, all values are finite. Returns whether there is an
-        exchange at `tick`.
+        At the start of a flight, tick 0, messages with values that are not finite are refused.
+        Returns whether `tick` has an exchange.
         """
         self._tick = tick
         self._at_start = tick == 0
         self.side = tick & 1
-        due = self._timetable.due(tick)
+        due = self._exchange_schedule.due(tick)
         self.lacking = self._expected(tick) if due else {}
-        self._next = self._expected(self._timetable.after(tick))
+        self._next = self._expected(self._exchange_schedule.after(tick))
         for early in self._early.values():
             for header in (self.lacking | self._next).keys() & early.keys():
                 self.take(early[header])
@@ -106,16 +101,16 @@ class StageInbox:
         return due
 
     def turn(self, tick: int) -> bool:
-        """Go on to `tick`, the next one: what has come for it is there.
+        """Go to `tick`, the next one; its messages that have already arrived are kept.
 
-        Returns whether there is an exchange; where there is none, nothing is lacking.
+        Returns whether `tick` has an exchange. If it has none, no message is lacking.
         """
         self._at_start = False
         following = tick + 1
         if not self.every_tick:
-            if not self._timetable.due(tick):
+            if not self._exchange_schedule.due(tick):
                 return False
-            following = self._timetable.after(tick)
+            following = self._exchange_schedule.after(tick)
         self._tick = tick
         self.lacking = self._next
         self._next = self._expected(following)
@@ -124,12 +119,12 @@ class StageInbox:
 
     @property
     def lacking_by_side(self) -> Lacking:
-        """The neighbours whose messages are not here, at each side of `heard`."""
+        """The neighbours whose messages have not arrived, for each side of `heard`."""
         now, following = set(self.lacking.values()), set(self._next.values())
         return (following, now) if self.side else (now, following)
 
     def go_to(self, tick: int, lacking: Lacking) -> None:
-        """Be at `tick` of this epoch, without what is `lacking`; exchanges are at every tick."""
+        """Go to `tick` of this epoch, with messages `lacking`; every tick has an exchange."""
         self._at_start &= tick == self._tick
         self._tick = tick
         self.side = tick & 1
@@ -139,7 +134,7 @@ class StageInbox:
         )
 
     def take(self, data: bytes) -> str:
-        """Take a message as it came off the wire; return why it is ignored, or nothing."""
+        """Take a message in serialised form; return why it is ignored, or ""."""
         if len(data) == self.size:
             header = data[HEADER_AT:HEADER_END]
             if bird := self.lacking.get(header):
@@ -154,7 +149,7 @@ class StageInbox:
         return self._refused(data)
 
     def _refused(self, data: bytes) -> str:
-        """Return why a message is for neither slot; keep it where it is for later."""
+        """Return why a message is for neither slot; keep it if it is for a later epoch."""
         if len(data) != self.size:
             return MISSHAPEN
         run_id, step, epoch, bird, stage, members = stage_header(data)
@@ -164,12 +159,13 @@ class StageInbox:
             return STRANGE
         if members != self._members:
             return MISSHAPEN
-        if epoch < self._epoch:
+        later = ahead(epoch, self._epoch)
+        if later < 0:
             return STALE
-        early = epoch > self._epoch or self._tick == NEVER
+        early = later > 0 or self._tick == NEVER
         if not early and self._may_come_again(STAGES * step + stage):
             return AGAIN
-        believed = self._epoch == NEVER or epoch <= self._epoch + REACH
+        believed = later <= REACH
         header, kept = data[HEADER_AT:HEADER_END], self._early[bird]
         if header in kept:
             return AGAIN
@@ -180,28 +176,28 @@ class StageInbox:
         kept[header] = data
         if len(kept) <= EARLY:
             return ""
-        del kept[next(iter(kept))]  # the oldest, which now is the one that is ignored
+        del kept[next(iter(kept))]  # the oldest, which is ignored instead
         return REPEATED
 
     def _may_come_again(self, tick: int) -> bool:
-        """Whether `tick` is one of the last two exchanges of a neighbour, who is near ours."""
-        due, after = self._timetable.due, self._timetable.after
+        """Whether `tick` may be one of a neighbour's last two exchanges, which it may repeat."""
+        due, after = self._exchange_schedule.due, self._exchange_schedule.after
         return due(tick) and tick <= after(self._tick) and self._tick <= after(after(tick))
 
     def _forget_early(self, epoch: int) -> None:
-        """Forget what is kept of other runs, and of epochs up to `epoch`."""
+        """Drop the kept messages of other runs, and of epochs up to `epoch`."""
         for other, kept in self._early.items():
             self._early[other] = {
                 header: data
                 for header, data in kept.items()
-                if self._run_of(data) == self._run_id and self._epoch_of(data) > epoch
+                if self._run_of(data) == self._run_id and ahead(self._epoch_of(data), epoch) > 0
             }
 
     def _expected(self, tick: int) -> dict[bytes, int]:
         """Return the headers of all neighbours' messages of `tick`, each with its neighbour."""
         step, stage = divmod(tick, STAGES)
         run_id, epoch, members, pack = self._run_id, self._epoch, self._members, HEADER.pack
-        headers = {}  # in a loop, which is faster for a few than a comprehension
+        headers = {}  # for few neighbours a loop is faster than a comprehension
         for bird in self._neighbours:
             headers[pack(run_id, step, epoch, bird, stage, members)] = bird
         return headers

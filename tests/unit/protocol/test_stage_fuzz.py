@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bird that is pelted with stage messages nobody sent flies on, to the bit, and keeps none.
+"""A bird among many forged stage messages flies on bit for bit, and keeps none of them.
 
-FLOCK_TORTURE=1 throws a million.
+FLOCK_TORTURE=1 sends a million.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from random import Random
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import BirdProtocol, Outgoing
-from flock_sim.core.stage_inbox import EARLY
-from flock_sim.core.stage_message import HEADER_AT, HEADER_END
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.stage_layout import HEADER_AT, HEADER_END
+from flock_sim.messages.types import Checkpoint, Grant, Wing
+from flock_sim.protocol.bird import BirdProtocol, Outgoing
+from flock_sim.protocol.stage_inbox import EARLY
+from flock_sim.reference.integrator import Reference
 
 RUN = 7
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
@@ -46,7 +46,7 @@ class Flight:
 
 
 def new_bird(number: int) -> BirdProtocol:
-    return BirdProtocol(number, CONFIGURATION, life=number)
+    return BirdProtocol(number, CONFIGURATION, incarnation=number)
 
 
 def grant_to(step: int, epoch: int) -> Grant:
@@ -54,7 +54,7 @@ def grant_to(step: int, epoch: int) -> Grant:
 
 
 def checkpoint(step: int, epoch: int) -> Checkpoint:
-    flock = Monolith(CONFIGURATION)
+    flock = Reference(CONFIGURATION)
     flock.advance(step)
     return Checkpoint(RUN, step, epoch, flock.position.ravel(), flock.speed.ravel())
 
@@ -85,9 +85,9 @@ def flight() -> Flight:
                     elif to in birds[other].neighbours and channel.value == "wing":
                         queue.append((other, ("wing", Wing.decode(data))))
 
-    legs = [(3, Checkpoint.of_start(RUN, 3), 30), (4, checkpoint(20, 4), 45)]
-    legs.append((6, checkpoint(40, 6), CONFIGURATION.steps))
-    for epoch, where, leave in legs:
+    exchange = [(3, Checkpoint.of_start(RUN, 3), 30), (4, checkpoint(20, 4), 45)]
+    exchange.append((6, checkpoint(40, 6), CONFIGURATION.steps))
+    for epoch, where, leave in exchange:
         for what in [("grant", grant_to(where.step, epoch)), ("checkpoint", where)]:
             fly([(number, what) for number in birds])
         fly([(number, ("grant", grant_to(leave, epoch))) for number in birds])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whoever dies and comes back, whenever: every row once, in order, to the bit, and to the end.
+"""After kills and restarts at any time, each row is recorded once, in order, bit for bit.
 
-FLOCK_TORTURE=1 looks through many more flights.
+FLOCK_TORTURE=1 tries many more flights.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from unit.mortals import CLOCK, World
-from unit.random_links import random_links
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from support.crash_simulator import CLOCK, World
+from support.random_links import random_links
 
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
 

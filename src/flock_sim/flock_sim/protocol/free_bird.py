@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bird that flies freely: it steps by its own timer, on whatever it has last heard.
+"""A bird of a free flight: it steps by its own timer, with the latest received values.
 
-No ROS and no clock of its own: the time is handed in. Nobody waits for anybody once the flight has
-begun. A bird says its state at the beginning of each step, and takes the step with the latest state
-that it has of each neighbour, moved on as the model of the link does. So what is flown depends on
-when messages arrive: it is the real thing, it cannot be repeated, and it cannot go back.
+This module uses no ROS and no clock of its own: the caller passes the time. Once the flight has
+begun, no bird waits for another one. A bird publishes its state at the beginning of each step. It
+computes the step with the latest received state of each neighbour, extrapolated by the link model.
+So the flight depends on the arrival times of messages: it cannot be repeated or rewound.
 """
 
 from __future__ import annotations
@@ -14,8 +14,28 @@ from collections import Counter
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.bird_step import (
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.messages.epochs import NEVER, ahead
+from flock_sim.messages.rejection import (
+    AGAIN,
+    FOREIGN,
+    IMPOSSIBLE,
+    MALFORMED,
+    MISSHAPEN,
+    REPEATED,
+    STALE,
+    STRANGE,
+)
+from flock_sim.messages.stage_layout import stage_numbers, stage_words
+from flock_sim.messages.topics import bird_name
+from flock_sim.messages.types import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.scaling import Scales
+from flock_sim.protocol.bird import Channel, Outgoing
+from flock_sim.protocol.bird_kernel import (
     DRAG,
     POSITION,
     SPEED,
@@ -24,46 +44,23 @@ from flock_sim.core.bird_step import (
     constants,
     feel_and_move,
 )
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.free_flight import NO_WAY_BACK
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.links.latest import Latest
-from flock_sim.core.listener import Listener
-from flock_sim.core.messages import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.core.neighbourhood import Neighbourhood
-from flock_sim.core.perturbation import Perturbation
-from flock_sim.core.protocol import Channel, Outgoing
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.scaling import Scales
-from flock_sim.core.stage_inbox import (
-    AGAIN,
-    FOREIGN,
-    IMPOSSIBLE,
-    MALFORMED,
-    MISSHAPEN,
-    NEVER,
-    REACH,
-    REPEATED,
-    STALE,
-    STRANGE,
-)
-from flock_sim.core.stage_message import stage_numbers, stage_words
-from flock_sim.core.terms import agree
-from flock_sim.core.topics import bird_name
-from flock_sim.errors import RunFailed
+from flock_sim.protocol.latest_values import LatestValues
+from flock_sim.protocol.listener import Listener
+from flock_sim.protocol.neighbours import Neighbourhood
+from flock_sim.protocol.session import Session
 
 REPORT_EVERY = 0.25
 """Time between two reports to the clock, in s."""
 
 
 class FreeBird(Listener):
-    """One bird of a free flight. Feed it what arrives, and the time; send what it returns.
+    """One bird of a free flight. Pass it messages and the time; send the messages it returns.
 
-    >>> from flock_sim.core.terms import terms
+    >>> from flock_sim.messages.handshake import handshake
     >>> flock = FlockConfiguration(birds=1, t_max=2.0, record_every=1)
     >>> bird = FreeBird(1, flock, factor=1.0)
-    >>> out = bird.receive_grant(Grant(7, 0, 2, 1.0, 1, terms(flock, 1.0)))
-    >>> out += bird.receive_grant(Grant(7, 2, 2, 1.0, 1, terms(flock, 1.0)))
+    >>> out = bird.receive_grant(Grant(7, 0, 2, 1.0, 1, handshake(flock, 1.0)))
+    >>> out += bird.receive_grant(Grant(7, 2, 2, 1.0, 1, handshake(flock, 1.0)))
     >>> for now in (100.0, 100.02, 100.05, 100.1):  # a step takes 0.0417 s
     ...     out += bird.tick(now)
     >>> [channel.value for channel, _ in out if channel is not Channel.PROGRESS]
@@ -76,29 +73,26 @@ class FreeBird(Listener):
         configuration: FlockConfiguration,
         factor: float,
         run_id: int = 0,
-        life: int = 0,
+        incarnation: int = 0,
     ) -> None:
-        """Place bird 1..N at its start. `factor`: how much faster than real time it flies.
+        """Place bird 1..N at its start. `factor` is the real-time factor.
 
-        `run_id` and `life` are as those of a `BirdProtocol`.
+        `run_id` and `incarnation` are as in `BirdProtocol`.
         """
         self.bird = bird
-        self.run_id = run_id
-        self.life = life
-        self.released = False
-        """Whether the clock has said that the run is over, and nobody needs this bird any more."""
+        self.incarnation = incarnation
         self.ignored_for = Counter()
         self.ignored = 0
         self.step = 0
-        """The step that is taken next; one beyond the last at the end."""
+        """The next step to take; last step + 1 at the end."""
         self.late = 0
-        """How many steps were taken only when the next one was due as well."""
+        """Number of steps that were taken when the next one was already due."""
         self.lateness = 0.0
-        """The most that a step was taken after it was due, in s."""
+        """Largest delay of a step after it was due, in s."""
         self._configuration = configuration
         self._factor = factor
         self._period = configuration.dt * configuration.second / factor
-        self._epoch = NEVER
+        self._session = Session(bird_name(bird), configuration, run_id, factor)
         self._end = configuration.steps
         self._granted = -1
         self._reached = -1
@@ -107,7 +101,7 @@ class FreeBird(Listener):
         self._said: Outgoing | None = None  # the last state sent
         self._own = constants(bird, configuration)
         self._around = Neighbourhood(bird, configuration)
-        self._latest = Latest(bird, self._around.birds, configuration)
+        self._latest = LatestValues(bird, self._around.birds, configuration)
         self._age_max = np.zeros(len(self._around.birds))
         self._pushes: dict[int, list[Perturbation]] = {}
         for push in configuration.pushes:
@@ -122,28 +116,42 @@ class FreeBird(Listener):
         begin(self._own, self._mine, self._work)
 
     @property
+    def run_id(self) -> int:
+        """The run of this bird; 0 if it is not known yet."""
+        return self._session.run_id
+
+    @property
+    def _epoch(self) -> int:
+        return self._session.epoch
+
+    @property
     def joined(self) -> bool:
-        """Whether it is known which messages are of its run and epoch."""
+        """Whether the run and the epoch are known."""
         return self._epoch != NEVER
 
     @property
+    def released(self) -> bool:
+        """Whether the clock has ended the run and no node needs this bird any more."""
+        return self._session.released(self.step, self._end)
+
+    @property
     def in_flight(self) -> bool:
-        """Whether the flight has begun for it."""
+        """Whether the flight has begun for this bird."""
         return self._reached >= 0 and self._granted > 0
 
     @property
     def finished(self) -> bool:
-        """Whether the last step is reached and its state is out, or the run is over anyhow."""
+        """Whether the last step is reached and its state is sent, or the run has ended."""
         return self.released or self.step > self._end
 
     @property
     def missing(self) -> list[int]:
-        """The neighbours that are waited for: none, in a free flight."""
+        """The neighbours that this bird waits for: none, in a free flight."""
         return []
 
     @property
     def due(self) -> float:
-        """When the next step is to be taken, in s; inf where that is not for the bird to say."""
+        """Time at which the next step is due, in s; inf if the bird must wait for another node."""
         last = self.step == self._end
         if not self.in_flight or self.finished or self.step >= self._granted + last:
             return math.inf
@@ -151,7 +159,7 @@ class FreeBird(Listener):
 
     @property
     def waiting_for(self) -> str:
-        """What the bird needs to go on, in words."""
+        """What the bird needs to continue, as text."""
         if self._epoch == NEVER:
             return "the clock's first grant"
         if unknown := self._around.unknown:
@@ -166,42 +174,18 @@ class FreeBird(Listener):
             return f"the clock's leave to go beyond step {self.step}"
         return f"step {self.step} to be due"
 
-    def receive_grant(self, grant: Grant) -> list[Outgoing]:
-        """Take leave to begin, and to go on as far as what is recorded allows.
-
-        Raises FlockError where the first one is of a clock that flies something else, RunFailed
-        where a new epoch begins in flight.
-        """
-        if self.run_id not in (0, grant.run_id):
-            return self.ignore(FOREIGN)
-        if grant.epoch < self._epoch:
-            return self.ignore(STALE)
-        if self._epoch == NEVER:
-            try:
-                agree(bird_name(self.bird), self._configuration, grant.terms, self._factor)
-            except ValueError:
-                return self.ignore(MALFORMED)
-        elif grant.epoch > self._epoch + REACH:
-            return self.ignore(REPEATED)
-        if grant.end > self._configuration.steps or grant.step > grant.end + 1:
-            return self.ignore(REPEATED)
-        if grant.epoch > self._epoch:
-            return self._join(grant)
-        self._hear_leave(grant)
-        return []
-
     def receive_checkpoint(self, checkpoint: Checkpoint) -> list[Outgoing]:
-        """Take no notice: a free flight begins where it begins, and goes back to nothing."""
+        """Do nothing: a free flight uses no checkpoints."""
         return []
 
     def receive_wing(self, wing: Wing) -> list[Outgoing]:
-        """Learn the geometry of a neighbour."""
+        """Store the wing of a neighbour, and get ready if possible."""
         if reason := self._around.hear(wing, self.run_id):
             return self.ignore(reason)
         return self._get_ready()
 
     def receive_stage(self, data: bytes, sent: float = -math.inf) -> list[Outgoing]:
-        """Take what a neighbour has said, at time `sent` in s, of the beginning of a step."""
+        """Take the state of a neighbour at the beginning of a step, sent at time `sent`, in s."""
         try:
             message = Stage.decode(data)
         except ValueError:
@@ -213,9 +197,9 @@ class FreeBird(Listener):
         return self._get_ready()
 
     def tick(self, now: float) -> list[Outgoing]:
-        """Take the step that is due at time `now`, in s, if one is; return what is then to be said.
+        """Take the step that is due at time `now`, in s, if one is; return the messages to send.
 
-        Who is late takes one step at a time, as soon as it is asked again.
+        A late bird takes one step per call.
         """
         if now < self.due:
             return []
@@ -224,7 +208,7 @@ class FreeBird(Listener):
         lateness = now - (self._begun + self.step * self._period)
         self.late += lateness >= self._period
         self.lateness = max(self.lateness, lateness)
-        out = [self._say()] if self.step else []  # the first was said by all before they began
+        out = [self._say()] if self.step else []  # the first was sent before the flight began
         age = now - np.maximum(self._latest.sent, self._begun)
         self._age_max = np.maximum(self._age_max, age)
         self._feel(0)
@@ -244,22 +228,19 @@ class FreeBird(Listener):
         return out
 
     def report(self) -> list[Outgoing]:
-        """Return the words of a bird that has to wait: it is there, and has come so far.
+        """Return the messages of a waiting bird: its progress and its last state.
 
-        It says its last state again, too: somebody may not have known yet whose that was.
+        The state is repeated since a neighbour may not have known the run when it first arrived.
         """
         if self._epoch == NEVER:
             return []
+        self._session.hear_nothing()
         return [self._progress(), *([self._said] if self._said else [])]
 
-    def _join(self, grant: Grant) -> list[Outgoing]:
-        """Be there in the grant's epoch: say so, and where one is."""
-        if self._granted > 0:
-            raise RunFailed(f"{bird_name(self.bird)}: {NO_WAY_BACK}")
-        first = self._epoch == NEVER
-        self.run_id, self._epoch = grant.run_id, grant.epoch
+    def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
+        """Join the grant's epoch: return a progress report and the state."""
         self._reached = -1
-        self._hear_leave(grant)
+        self._extend(grant)
         out = [self._progress()]
         if first:
             ratio = self._configuration.span_ratio[self.bird - 1]
@@ -267,31 +248,33 @@ class FreeBird(Listener):
             self._around.recall(self.run_id)
         return [*out, self._say(), *self._get_ready()]
 
-    def _hear_leave(self, grant: Grant) -> None:
+    def _extend(self, grant: Grant) -> list[Outgoing]:
+        """Continue as far as the grant allows."""
         self._end = grant.end
         self._granted = max(self._granted, min(grant.step, grant.end))
-        self.released |= grant.step > grant.end
+        self._session.flying = self.in_flight
+        return []
 
     def _get_ready(self) -> list[Outgoing]:
         """Report, once all neighbours are known, that the flight can begin for this bird.
 
-        One that is given leave before has come to a flight that began without it.
+        A bird that has a grant before that has joined a flight that began without it: no report.
         """
         ready = self._around.known and self._latest.complete
         if self._reached >= 0 or self._epoch == NEVER or self._granted > 0 or not ready:
             return []
-        self._feel(0)  # as will be done again; but the first time loads what is compiled
+        self._feel(0)  # the first call loads the compiled kernel; `tick` repeats it
         self._reached = 0
         return [self._progress()]
 
     def _refused(self, message: Stage) -> str:
-        """Return why what a neighbour says is ignored, or nothing."""
+        """Return why a message of a neighbour is ignored, or ""."""
         members = self._configuration.members
         values = message.position, message.speed, message.circulation
         if message.run_id != self.run_id or self._epoch == NEVER:
             return FOREIGN
         if message.epoch != self._epoch:
-            return STALE if message.epoch < self._epoch else REPEATED
+            return STALE if ahead(message.epoch, self._epoch) < 0 else REPEATED
         if message.bird not in self.neighbours:
             return STRANGE
         if any(len(numbers) != members for numbers in values):
@@ -303,7 +286,7 @@ class FreeBird(Listener):
         return ""
 
     def _feel(self, stage: int) -> None:
-        """Compute the drag at a stage of this step, and the values at the next one."""
+        """Compute the drag at a stage of this step, and the values at the next stage."""
         feel_and_move(
             STAGES * self.step + stage,
             self._configuration.dt,
@@ -315,7 +298,7 @@ class FreeBird(Listener):
         )
 
     def _push(self) -> bool:
-        """Apply the perturbations at the beginning of this step; return whether there are any."""
+        """Apply the perturbations at the beginning of this step; return whether it has any."""
         pushes = self._pushes.get(self.step, [])
         for push in pushes:
             push.push(self._work[POSITION], self._work[SPEED])
@@ -329,7 +312,7 @@ class FreeBird(Listener):
         return self._said
 
     def _record(self, age: FloatArray) -> list[Outgoing]:
-        """Return what is recorded of this step."""
+        """Return the messages to the recorder for this step."""
         configuration, latest = self._configuration, self._latest
         numbers = stage_numbers(self._mine[0], configuration.members)
         mine = self.run_id, self._epoch
@@ -349,7 +332,7 @@ class FreeBird(Listener):
         return [(Channel.AGES, ages.encode()), (Channel.STATE, state.encode())]
 
     def _progress(self) -> Outgoing:
-        """Return the report of how far the bird has come; -1: here, and not yet at the start."""
+        """Return the report of the step reached; -1: present, but not yet at the start."""
         name = bird_name(self.bird)
-        progress = Progress(self.run_id, self._reached, self._epoch, name, self.life)
+        progress = Progress(self.run_id, self._reached, self._epoch, name, self.incarnation)
         return Channel.PROGRESS, progress.encode()

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step protocol of one bird, as a state machine: messages in, messages out.
 
-No ROS, no clock, no threads. A bird sends its values at an RK4 stage, waits for the same stage of
-its neighbours, computes its slopes and so its values at the next stage. Data dependence alone
-keeps neighbours within one stage of each other, so two slots per neighbour hold all that can
-arrive; what comes twice, late or too early is counted and changes nothing. Where no link needs all
-stages, messages are exchanged at the steps of the flock's timetable only, and between these a bird
-goes by what it remembers.
+This module uses no ROS, no clock and no threads. A bird sends its values at an RK4 stage, waits
+for the same stage of its neighbours, then computes its slopes and its values at the next stage.
+Data dependence alone keeps neighbours within one stage of each other, so two slots per neighbour
+hold all messages that can arrive. Repeated, late and premature messages are counted and have no
+effect. If no link needs all stages, messages are exchanged only at the steps of the flock's
+exchange schedule; between these a bird uses the values that it remembers.
 
-A grant of a newer epoch sends everybody back: the bird forgets where it is, waits for the
-checkpoint of that epoch and goes on from there. That is how a flight begins, too.
+A grant of a newer epoch rewinds the flock: the bird drops its state, waits for the checkpoint of
+that epoch and continues from it. A flight begins in the same way.
 """
 
 from __future__ import annotations
@@ -19,8 +19,25 @@ from enum import Enum
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.bird_step import (
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation, perturbations
+from flock_sim.errors import FlockError
+from flock_sim.messages.epochs import ahead
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, REPEATED
+from flock_sim.messages.stage_layout import (
+    HEADER,
+    HEADER_AT,
+    stage_bytes,
+    stage_numbers,
+    stage_words,
+)
+from flock_sim.messages.topics import bird_name
+from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, State, Wing
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.scaling import Scales
+from flock_sim.protocol.bird_kernel import (
     DRAG,
     POSITION,
     SPEED,
@@ -30,46 +47,26 @@ from flock_sim.core.bird_step import (
     constants,
     feel_and_move,
 )
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.leg import Leg
-from flock_sim.core.links.receiver import Receiver
-from flock_sim.core.listener import Listener
-from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, State, Wing
-from flock_sim.core.neighbourhood import Neighbourhood
-from flock_sim.core.perturbation import Perturbation, perturbations
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.scaling import Scales
-from flock_sim.core.stage_inbox import (
-    FOREIGN,
-    IMPOSSIBLE,
-    MALFORMED,
-    NEVER,
-    REACH,
-    REPEATED,
-    STALE,
-    StageInbox,
-)
-from flock_sim.core.stage_message import (
-    HEADER,
-    HEADER_AT,
-    stage_bytes,
-    stage_numbers,
-    stage_words,
-)
-from flock_sim.core.steering import Control, Steering
-from flock_sim.core.terms import agree
-from flock_sim.core.topics import bird_name
-from flock_sim.errors import FlockError
+from flock_sim.protocol.control_force import Control, Steering
+from flock_sim.protocol.fast_path import FastPath
+from flock_sim.protocol.link_receiver import LinkReceiver
+from flock_sim.protocol.listener import Listener
+from flock_sim.protocol.neighbours import Neighbourhood
+from flock_sim.protocol.session import Session
+from flock_sim.protocol.stage_inbox import StageInbox
 
 EARLY = 16
-"""Checkpoints of runs not known to be ours that are kept."""
+"""Most checkpoints kept for epochs that may begin later."""
+
+
+MOST_SILENT = 1000
+"""Most steps between two reports, however far the grant goes: it may not be the clock's."""
 
 
 class Channel(Enum):
     """Where a message of a bird goes."""
 
-    __hash__ = object.__hash__  # as good as Enum's, and not written in Python: one a message
+    __hash__ = object.__hash__  # Enum's is written in Python and slower: one call per message
 
     WING = "wing"
     STAGE = "stage"
@@ -83,9 +80,9 @@ Outgoing = tuple[Channel, bytes]
 
 
 class BirdProtocol(Listener):
-    """One bird of a flock, flying by its own parameters and its neighbours' messages only.
+    """One bird of a flock. It needs its own parameters and its neighbours' messages only.
 
-    Feed it what arrives; send what it returns, in order:
+    Pass it each message that arrives; send the messages that it returns, in order:
 
     >>> bird = BirdProtocol(1, FlockConfiguration(birds=1, t_max=2.0, record_every=1))
     >>> out = bird.receive_grant(Grant(run_id=7, step=0, end=2, dt=1.0, epoch=1))
@@ -102,38 +99,35 @@ class BirdProtocol(Listener):
         bird: int,
         configuration: FlockConfiguration,
         run_id: int = 0,
-        life: int = 0,
+        incarnation: int = 0,
         control: Control | None = None,
         stage_kernel: StageKernel | None = None,
     ) -> None:
-        """Place bird 1..N at its start. `run_id` 0: that of the first grant heard.
+        """Place bird 1..N at its start. `run_id` 0: the run of the first grant received.
 
-        `life` tells this bird from those who were it before, if its process is not the first;
-        `control` gives a force besides those that all birds feel. `stage_kernel` takes the
-        place of `feel_and_move`, and does the same: a stopwatch may be around it.
+        `incarnation` distinguishes this process of the bird from earlier ones. `control` gives a
+        force in addition to thrust and drag. `stage_kernel` replaces `feel_and_move` and computes
+        the same; a stopwatch may wrap it.
         """
-        # CPython reads attributes slower where an object has more than 30 of them: a bird would
-        # take a twentieth longer for a step.
+        # CPython reads attributes more slowly if an object has more than 30 of them: a step of a
+        # bird would take a twentieth longer.
         self.bird = bird
-        self.run_id = run_id
-        self.life = life
-        self.released = False
-        """Whether the clock has said that the run is over, and nobody needs this bird any more."""
+        self.incarnation = incarnation
         self.ignored_for = Counter()
         self.ignored = 0
         self._configuration = configuration
-        self._epoch = NEVER  # of no message: nothing is taken before the first grant
+        self._session = Session(bird_name(bird), configuration, run_id)
         self._end = configuration.steps
         self._granted = -1
-        self._checkpoint: Checkpoint | None = None  # of this epoch or of one to come
-        self._early: dict[int, Checkpoint] = {}  # by run, before it is known which is ours
-        self._flying = False  # in this epoch: at the checkpoint, and every wing known
-        self._start = 0  # the step of the checkpoint; -1 where its state is not on disk
+        # By run and epoch, for this epoch and later ones: our run may not be known yet.
+        self._checkpoints: dict[tuple[int, int], Checkpoint] = {}
+        self._flying = False  # in this epoch: the checkpoint and every wing are known
+        self._start = 0  # the step of the checkpoint; -1 if its state is not on disk
         self._report_at = 0
-        self._reached = -1  # the last step whose beginning was reached, its neighbours heard
+        self._reached = -1  # the last step begun with all neighbours' values known
         self._tick = 0  # 4 step + stage, of the last message sent
-        self._said: deque[Outgoing] = deque(maxlen=2)  # the last stages sent in this epoch
-        self._held = False  # at the beginning of a step, its own values known, no leave to go on
+        self._said: deque[Outgoing] = deque(maxlen=2)  # the last two stages sent in this epoch
+        self._held = False  # at a step's beginning, own values known, not granted
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
 
         members = configuration.members
@@ -141,49 +135,59 @@ class BirdProtocol(Listener):
         self._dt = configuration.dt
         self._own = constants(bird, configuration)
         self._around = Neighbourhood(bird, configuration)
-        linkage = configuration.linkage
+        link_table = configuration.link_table
         self._steering = (
             Steering(bird, control, self._own, self._around.birds, configuration)
             if control
             else None
         )
-        self._inbox = StageInbox(self._around.birds, members, linkage.timetable, run_id)
-        self._receiver = Receiver(bird, configuration) if linkage.remembers(bird) else None
+        self._inbox = StageInbox(self._around.birds, members, link_table.exchange_schedule, run_id)
+        self._receiver = LinkReceiver(bird, configuration) if link_table.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
         self.outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
-        """Its last two stage messages: at even ticks and at odd ones."""
+        """Its last two stage messages: of the even tick and of the odd tick."""
         self._work = np.zeros((WORK_ROWS, members))
         if stage_kernel is not None:
             self._feel_and_move = stage_kernel
 
     @property
+    def run_id(self) -> int:
+        """The run of this bird; 0 if it is not known yet."""
+        return self._session.run_id
+
+    @property
     def step(self) -> int:
-        """The step being taken."""
+        """The current step."""
         return self._tick // STAGES
 
     @property
+    def released(self) -> bool:
+        """Whether the clock has ended the run and no node needs this bird any more."""
+        return self._session.released(self.step, self._end)
+
+    @property
     def in_flight(self) -> bool:
-        """Whether stages are exchanged."""
+        """Whether this bird exchanges stages."""
         return self._flying
 
     @property
     def finished(self) -> bool:
-        """Whether the last step is reached and its state is out, or the run is over anyhow."""
+        """Whether the last step is reached and its state is sent, or the run has ended."""
         return self.released or (self._held and self.step >= self._end)
 
     @property
     def missing(self) -> list[int]:
-        """The neighbours whose message for this stage is not here yet; none while it is held."""
+        """The neighbours whose message for this stage has not arrived; none while it is held."""
         return list(self._inbox.lacking.values())
 
     @property
     def waiting_for(self) -> str:
-        """What the bird needs to go on, in words."""
+        """What the bird needs to continue, as text."""
         if self._granted < 0:
             return "the clock's first grant"
         if unknown := self._around.unknown:
             return f"the wing of {', '.join(map(bird_name, unknown))}"
-        if not self._flying and self._checkpoint is None:
+        if not self._flying and self._here is None:
             return "the checkpoint to go on from (the recorder's, or the clock's if none records)"
         if not self._flying:
             return "the clock to begin anew: this epoch was begun without it"
@@ -194,164 +198,140 @@ class BirdProtocol(Listener):
         stage = f"stage {self._tick % STAGES} of step {self.step}"
         return f"{stage} from {', '.join(map(bird_name, self.missing))}"
 
-    def receive_grant(self, grant: Grant) -> list[Outgoing]:
-        """Take leave to go on, or hear that a new epoch begins.
-
-        Raises FlockError where the first one is of a clock that flies something else.
-        """
-        if self.run_id not in (0, grant.run_id):
-            return self.ignore(FOREIGN)
-        if grant.epoch < self._epoch:
-            return self.ignore(STALE)
-        if self._epoch == NEVER:
-            try:
-                self._agree(grant)
-            except ValueError:
-                return self.ignore(MALFORMED)
-        if grant.end > self._configuration.steps or grant.step > grant.end + 1:
-            return self.ignore(REPEATED)
-        if grant.epoch > self._epoch:
-            return self._join(grant)
-        self._end = min(self._end, grant.end)
-        self.released |= grant.step > self._end
-        if grant.step <= self._granted:
-            return []
-        self._grant(grant.step)
-        return self._advance() if self._held else []
-
     def receive_checkpoint(self, checkpoint: Checkpoint) -> list[Outgoing]:
-        """Take note of where an epoch begins."""
-        if self.run_id not in (0, checkpoint.run_id):
-            return self.ignore(FOREIGN)
-        if checkpoint.epoch < self._epoch:
-            return self.ignore(STALE)
-        held = self._checkpoint if self.run_id else self._early.get(checkpoint.run_id)
-        known = held is not None and held.epoch >= checkpoint.epoch
+        """Store the checkpoint that an epoch begins from, and begin the epoch if possible."""
+        if reason := self._session.refuses(checkpoint.run_id, checkpoint.epoch):
+            return self.ignore(reason)
+        key = checkpoint.run_id, checkpoint.epoch
+        known = key in self._checkpoints
         if known or not self._fits(checkpoint):
             return self.ignore(REPEATED if known else IMPOSSIBLE)
-        if self.run_id:
-            self._checkpoint = checkpoint
-            return self._begin()
-        self._early[checkpoint.run_id] = checkpoint
-        if len(self._early) <= EARLY:
-            return []
-        del self._early[next(iter(self._early))]  # the oldest, which now is the one that is ignored
-        return self.ignore(FOREIGN)
+        self._checkpoints[key] = checkpoint
+        if len(self._checkpoints) > EARLY:
+            oldest = next(key for key in self._checkpoints if key != self._now)
+            del self._checkpoints[oldest]
+            return self.ignore(FOREIGN)
+        return self._begin()
 
     def receive_wing(self, wing: Wing) -> list[Outgoing]:
-        """Learn the geometry of a neighbour."""
+        """Store the wing of a neighbour, and begin the epoch if possible."""
         if reason := self._around.hear(wing, self.run_id):
             return self.ignore(reason)
         return self._begin()
 
     def receive_stage(self, data: bytes) -> list[Outgoing]:
-        """Take the stage message of a neighbour, as it came off the wire."""
+        """Take the stage message of a neighbour in serialised form."""
         if reason := self._inbox.take(data):
             return self.ignore(reason)
         return [] if self._inbox.lacking or not self._flying else self._advance()
 
     def report(self) -> list[Outgoing]:
-        """Return the words of a bird that has to wait: it is there, and has come so far.
+        """Return the messages of a waiting bird: its progress and its last two stages.
 
-        It says its last two stages again, too: those are all that a neighbour may lack. A message
-        that the middleware has lost costs time, and does not stop a flock.
+        A neighbour can lack no other stages. So a message that the middleware loses costs time,
+        but does not stop the flock.
         """
         if self._granted < 0:
-            return []  # there is no run yet to report to
+            return []  # no run is known yet
+        self._session.hear_nothing()
         return [self._progress(self._reached), *self._said]
 
-    def leg(self) -> Leg | None:
-        """Return a leg for this bird; None if it does more at a stage than to exchange it."""
+    def fast_path(self) -> FastPath | None:
+        """Return a fast path for this bird; None if its stages need more than the exchange."""
         inbox = self._inbox
         plain = self._feel_and_move is feel_and_move and inbox.every_tick
         if self._receiver or self._steering or not plain:
             return None
         arrays = (self._own, self._around.geometry, inbox.heard, self._mine, self._work)
-        return Leg(self.bird, self._around.birds, self._members, arrays)
+        return FastPath(self.bird, self._around.birds, self._members, arrays)
 
-    def embark(self, leg: Leg) -> bool:
-        """Leave the stages up to the next step with more to do to `leg`; False if there are none.
+    def enter(self, path: FastPath) -> bool:
+        """Hand the stages up to the next event to `path`; return False if there are none.
 
-        Until it lands, the bird itself knows nothing of what is flown, and is not to be asked.
+        Until `leave`, this object does not know the state of the bird and must not be used.
         """
         if self.released or self._held or not self._flying:
             return False
         end = STAGES * self._next_event()
         if self._tick >= end:
             return False
-        leg.begin(self._tick, end, self.run_id, self._epoch, self._inbox.lacking_by_side)
+        path.begin(self._tick, end, *self._now, self._inbox.lacking_by_side)
         return True
 
-    def land(self, leg: Leg) -> list[Outgoing]:
-        """Go on by itself from where `leg` is."""
-        for _ in range(leg.foreign):
+    def leave(self, path: FastPath) -> list[Outgoing]:
+        """Take over again from the tick that `path` has reached."""
+        for _ in range(path.foreign):
             self.ignore(FOREIGN)
-        inbox, tick = self._inbox, leg.tick
+        inbox, tick = self._inbox, path.tick
         if tick > self._tick:
             self._reached = max(self._reached, (tick - 1) // STAGES)
             self._said.append(self._said_at(tick - 1))
-            if not leg.over:
+            if not path.over:
                 self._said.append(self._said_at(tick))
-        self._tick = tick - leg.over
-        inbox.go_to(self._tick, leg.lacking)
-        if not leg.over:
+        self._tick = tick - path.over
+        inbox.go_to(self._tick, path.lacking)
+        if not path.over:
             return []
         out = self._turn()
         return out if inbox.lacking else out + self._advance()
 
     def _said_at(self, tick: int) -> Outgoing:
-        """Return what was said at one of the last two ticks."""
+        """Return the stage message of one of the last two ticks."""
         return Channel.STAGE, bytes(self.outbox[tick & 1])
 
     def _next_event(self) -> int:
-        """Return the next step at whose beginning there is more to do than to exchange a stage."""
+        """Return the next step whose beginning needs more than the exchange of a stage."""
         step, every = -(-self._tick // STAGES), self._configuration.record_every
         events = [self._granted, -(-step // every) * every, self._report_at, *self._pushes]
         return min(event for event in events if event >= step)
 
-    def _agree(self, grant: Grant) -> None:
-        """Raise FlockError where the clock flies something else."""
-        configuration = self._configuration
-        if grant.terms:
-            agree(bird_name(self.bird), configuration, grant.terms)
-        elif grant.dt != configuration.dt or grant.end != configuration.steps:
-            raise FlockError(
-                f"the clock flies {grant.end} steps of dt = {grant.dt:g} and "
-                f"{bird_name(self.bird)} {configuration.steps} of {configuration.dt:g}: "
-                "give both the same configuration"
-            )
+    @property
+    def _now(self) -> tuple[int, int]:
+        """The current run and epoch."""
+        return self._session.run_id, self._session.epoch
 
-    def _join(self, grant: Grant) -> list[Outgoing]:
-        """Leave everything, and wait for the checkpoint of the grant's epoch."""
-        first = self._epoch == NEVER
-        if not first and grant.epoch > self._epoch + REACH:
-            return self.ignore(REPEATED)
-        if not self.run_id:
-            self._checkpoint = self._early.get(grant.run_id)
-            self._early = {}
-        self.run_id, self._epoch = grant.run_id, grant.epoch
+    @property
+    def _here(self) -> Checkpoint | None:
+        """The checkpoint of this epoch, if it has arrived."""
+        return self._checkpoints.get(self._now)
+
+    def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
+        """Drop the current epoch, and wait for the checkpoint of the grant's epoch."""
+        run_id, epoch = self._now
+        self._checkpoints = {
+            key: checkpoint
+            for key, checkpoint in self._checkpoints.items()
+            if key[0] == run_id and ahead(key[1], epoch) >= 0
+        }
         self._end = grant.end
-        self.released = grant.step > grant.end
         self._flying = self._held = False
         self._reached = self._start = -1
         self._said.clear()
-        self._inbox.close(self.run_id, self._epoch)
+        self._inbox.close(run_id, epoch)
         self._grant(grant.step)
         out = [self._progress(-1)]
         if first:
             ratio = self._configuration.span_ratio[self.bird - 1]
-            out.insert(0, (Channel.WING, Wing(self.run_id, self.bird, ratio).encode()))
-            self._around.recall(self.run_id)
+            out.insert(0, (Channel.WING, Wing(run_id, self.bird, ratio).encode()))
+            self._around.recall(run_id)
         return out + self._begin()
+
+    def _extend(self, grant: Grant) -> list[Outgoing]:
+        """Continue as far as a grant of this epoch allows."""
+        self._end = min(self._end, grant.end)
+        if grant.step <= self._granted:
+            return []
+        self._grant(grant.step)
+        return self._advance() if self._held else []
 
     def _grant(self, step: int) -> None:
         step = min(step, self._end)
         self._granted = step
-        # Ask for more half way, so that leave comes before it runs out.
-        self._report_at = self.step + max(1, (step - self.step) // 2)
+        # Report half way, so that the next grant arrives before this one is used up.
+        self._report_at = self.step + max(1, min((step - self.step) // 2, MOST_SILENT))
 
     def _fits(self, checkpoint: Checkpoint) -> bool:
-        """Whether a checkpoint can be one of this flight."""
+        """Whether a checkpoint can belong to this flight."""
         configuration = self._configuration
         size = len(checkpoint.position)
         try:
@@ -364,21 +344,20 @@ class BirdProtocol(Listener):
             and checkpoint.step <= (configuration.steps if size else 0)
             and checkpoint.step % configuration.record_every == 0
             and len(checkpoint.memory)
-            == (configuration.linkage.memory_ends[-1] * self._members if size else 0)
+            == (configuration.link_table.memory_ends[-1] * self._members if size else 0)
         )
 
     def _begin(self) -> list[Outgoing]:
-        """Begin the epoch once its checkpoint and every wing are known: send the first stage."""
-        checkpoint = self._checkpoint
+        """Once the checkpoint and every wing are known, begin the epoch: send the first stage."""
+        checkpoint = self._here
         if (
             self._flying
             or not self._around.known
             or checkpoint is None
-            or checkpoint.epoch != self._epoch
-            or self._granted > checkpoint.step  # by a former life of this bird: there will be a new
+            or self._granted > checkpoint.step  # of an earlier incarnation: a new epoch follows
         ):
             return []
-        self._flying = True
+        self._flying = self._session.flying = True
         self._pushes = self._pushes_of(checkpoint)
         self._tick = STAGES * checkpoint.step
         if len(checkpoint.position):
@@ -391,6 +370,7 @@ class BirdProtocol(Listener):
         else:
             self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
             self._work[SPEED] = Scales.of(self._configuration).cruise_speed
+            self._push(0)  # a recorded state already includes the pushes of its step
         begin(self._own, self._mine, self._work)
         if self._receiver:
             self._receiver.begin(checkpoint.memory)
@@ -399,9 +379,9 @@ class BirdProtocol(Listener):
         return out if self._inbox.lacking else out + self._advance()
 
     def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:
-        """Return the pushes that are for this bird, by step, in their order.
+        """Return the pushes of this bird, by step, in their order.
 
-        Raises FlockError where the checkpoint asks for what the flight has not.
+        Raises FlockError if the checkpoint names a bird, member or step that the flight has not.
         """
         configuration = self._configuration
         live = perturbations(
@@ -417,7 +397,7 @@ class BirdProtocol(Listener):
         return pushes
 
     def _push(self, step: int) -> bool:
-        """Apply the perturbations at the beginning of `step`; return whether there are any."""
+        """Apply the perturbations at the beginning of `step`; return whether `step` has any."""
         for push in self._pushes.get(step, []):
             push.push(self._work[POSITION], self._work[SPEED])
         return step in self._pushes
@@ -426,15 +406,14 @@ class BirdProtocol(Listener):
         """Return the message with this tick's values."""
         step, stage = divmod(self._tick, STAGES)
         side = self.outbox[self._tick & 1]
-        HEADER.pack_into(
-            side, HEADER_AT, self.run_id, step, self._epoch, self.bird, stage, self._members
-        )
+        run_id, epoch = self._now
+        HEADER.pack_into(side, HEADER_AT, run_id, step, epoch, self.bird, stage, self._members)
         said = self._said_at(self._tick)
         self._said.append(said)
         return said
 
     def _advance(self) -> list[Outgoing]:
-        """Go on, stage by stage, as far as messages and leave allow."""
+        """Continue, stage by stage, as far as the messages and the grant allow."""
         out: list[Outgoing] = []
         inbox = self._inbox
         while not inbox.lacking:
@@ -458,14 +437,14 @@ class BirdProtocol(Listener):
         return out
 
     def _turn(self) -> list[Outgoing]:
-        """Go on to the next tick, whose values are computed; return what is sent at it."""
+        """Go to the next tick, whose values are known; return the message to send at it."""
         self._tick = tick = self._tick + 1
         if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
             begin(self._own, self._mine, self._work)
         return [self._stage()] if self._inbox.turn(tick) else []
 
     def _listen(self, heard: FloatArray) -> FloatArray:
-        """Return what is known of the neighbours at this tick, after steering by it."""
+        """Return the known values of the neighbours at this tick; set the control force."""
         if self._receiver is not None:
             heard = self._receiver.listen(
                 self._tick, self._around.geometry, heard[self._inbox.side], self._mine
@@ -475,22 +454,26 @@ class BirdProtocol(Listener):
         return heard
 
     def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
-        """Return what the recorder and the clock are to know of the beginning of `step`."""
+        """Return the messages to the recorder and the clock at the beginning of `step`."""
         out = []
         if step % self._configuration.record_every == 0 and step != self._start:
             out.append((Channel.STATE, self._state(step, words).encode()))
             if self._receiver:
                 data = self._receiver.memory.ravel()
-                memory = Memory(self.run_id, step, self._epoch, self.bird, data)
+                run_id, epoch = self._now
+                memory = Memory(run_id, step, epoch, self.bird, data)
                 out.append((Channel.MEMORY, memory.encode()))
         self._reached = step
         if step >= self._granted or step == self._report_at:
             out.append(self._progress(step))
+            if self._granted - step > MOST_SILENT:
+                self._report_at = step + MOST_SILENT
         return out
 
     def _progress(self, step: int) -> Outgoing:
-        """Return the report of having reached `step`; -1: here, and not yet at the start."""
-        progress = Progress(self.run_id, step, self._epoch, bird_name(self.bird), self.life)
+        """Return the report of having reached `step`; -1: present, but not yet at the start."""
+        run_id, epoch = self._now
+        progress = Progress(run_id, step, epoch, bird_name(self.bird), self.incarnation)
         return Channel.PROGRESS, progress.encode()
 
     def _state(self, step: int, words: FloatArray) -> State:
@@ -502,6 +485,5 @@ class BirdProtocol(Listener):
             speed,
             circulation,
             self._work[DRAG],
-            self.run_id,
-            self._epoch,
+            *self._now,
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one bird knows of its neighbours over links that are not plain, and remembers for it."""
+"""Known values of one bird's neighbours over links that are not plain, and their memory."""
 
 from __future__ import annotations
 
@@ -8,32 +8,33 @@ from functools import cache
 
 import numpy as np
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray, IntArray, anew, kernel
-from flock_sim.core.links.reception import Hear, hear, hearing
-from flock_sim.core.stage_message import FIRST_WORD, stage_words
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.links.channel import Hear, hear, hearing
+from flock_sim.messages.stage_layout import FIRST_WORD, stage_words
+from flock_sim.physics.arrays import FloatArray, IntArray
+from flock_sim.physics.compile import anew, kernel
 
 
-class Receiver:
-    """The links to one bird. `memory` has shape (vectors, members), and is all that it remembers.
+class LinkReceiver:
+    """The links to one bird. `memory`, shape (vectors, members), is their whole state.
 
     >>> flock = FlockConfiguration(birds=3, links=("hold:delay=5",))
-    >>> Receiver(2, flock).memory.shape  # two neighbours: the latest, six on their way; five fields
+    >>> LinkReceiver(2, flock).memory.shape  # 2 neighbours: the latest, 6 on their way; 5 fields
     (70, 1)
     """
 
     def __init__(self, bird: int, configuration: FlockConfiguration) -> None:
-        """Have heard nothing."""
-        members, linkage = configuration.members, configuration.linkage
-        self._plan = linkage.plan([bird], members)
-        self._slice = slice(*(members * linkage.memory_ends[bird - 1 : bird + 1]))
+        """Start with an empty memory."""
+        members, link_table = configuration.members, configuration.link_table
+        self._plan = link_table.plan([bird], members)
+        self._slice = slice(*(members * link_table.memory_ends[bird - 1 : bird + 1]))
         self._dt = configuration.dt
         self._known = np.zeros((2, len(self._plan.links), stage_words(members)))
         self._listen = _listening(hearing())
         self.memory = self._plan.memory()
 
     def begin(self, memory: FloatArray) -> None:
-        """Remember what is in `memory`, that of all birds in a row; empty: nothing."""
+        """Load the part of this bird from `memory`, that of all birds; if empty, clear it."""
         if len(memory):
             self.memory = memory[self._slice].reshape(self.memory.shape).copy()
         else:
@@ -42,10 +43,10 @@ class Receiver:
     def listen(
         self, tick: int, geometry: FloatArray, said: FloatArray, mine: FloatArray
     ) -> FloatArray:
-        """Return what is known at `tick`, as stage messages of which the speed is left out.
+        """Return the known values at `tick`, as stage messages without the speed.
 
-        `said` has shape (neighbours, words): the messages of this tick where there is an exchange;
-        `geometry` and `mine` are those of `feel_and_move`, and so is the result, for this tick.
+        `said` has shape (neighbours, words): the messages of this tick if it has an exchange.
+        `geometry` and `mine` are as in `feel_and_move`; the result is its `heard`, for this tick.
         """
         self._listen(
             tick,
@@ -98,5 +99,5 @@ def _listen(
 
 @cache
 def _listening(heard: Hear) -> Callable[..., None]:
-    """Return `_listen` for what `hearing` gives."""
+    """Return `_listen`, compiled for the result of `hearing`."""
     return _listen if heard is hear else anew(_listen, hear=heard)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flock's network in the hands of a test: every message waits until the test delivers it.
+"""A simulated network of a flock: every message waits until the test delivers it.
 
-Whatever the test does, `Network` checks what must hold at every moment of a flight, and at the end
-`expected_states` says what must have been flown.
+`Network` checks the invariants of a flight at every moment. `expected_states` returns the states
+that must have been flown at the end.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from dataclasses import dataclass, field
 from enum import Enum
 from random import Random
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.protocol import BirdProtocol, Channel
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.topics import bird_name
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.topics import bird_name
+from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.bird import BirdProtocol, Channel
+from flock_sim.reference.integrator import Reference
 
 RUN, EPOCH = 7, 3
 CLOCK = 0
 
 
 class Kind(Enum):
-    """What a letter holds."""
+    """The kind of a letter's message."""
 
     GRANT = "grant"
     CHECKPOINT = "checkpoint"
@@ -34,7 +34,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Letter:
-    """A message on its way to one receiver: a bird, or the clock."""
+    """A message in flight to one receiver: a bird, or the clock."""
 
     kind: Kind
     to: int
@@ -43,7 +43,7 @@ class Letter:
 
 @dataclass
 class Logbook:
-    """What the network has seen of one bird."""
+    """The messages of one bird that the network has seen."""
 
     tick: int = -1  # of the last stage sent
     limit: int = -1  # highest step granted in a message that was delivered
@@ -56,7 +56,7 @@ class Network:
     """Birds, and a clock that grants `window` steps beyond the slowest bird."""
 
     def __init__(self, configuration: FlockConfiguration, window: int, run_id: int = 0) -> None:
-        """Have the first grant of run RUN in flight to everybody, and the start to go on from."""
+        """Queue the first grant and the checkpoint of the start of run RUN for all birds."""
         self.configuration = configuration
         self.window = window
         self.birds = {
@@ -75,7 +75,7 @@ class Network:
 
     @property
     def finished(self) -> bool:
-        """Whether every bird says that it has finished."""
+        """Whether every bird has finished."""
         return all(bird.finished for bird in self.birds.values())
 
     def deliver(self, at: int) -> None:
@@ -85,12 +85,12 @@ class Network:
         self.hand_over(letter)
 
     def deliver_all(self, order: Random | None = None) -> None:
-        """Deliver everything, and what it leads to: first in first out, or in a random order."""
+        """Deliver all messages and their consequences, first in first out or in random order."""
         while self.in_flight:
             self.deliver(order.randrange(len(self.in_flight)) if order else 0)
 
     def hand_over(self, letter: Letter) -> None:
-        """Let the receiver take a letter, which may have been there before."""
+        """Let the receiver take a letter, which may be a duplicate."""
         again = letter in self._seen
         self._seen.add(letter)
         if letter.to == CLOCK:
@@ -123,7 +123,7 @@ class Network:
         self._send(letter.to, sent)
 
     def say_again(self, sender: int) -> None:
-        """Let a bird say what it says every second while it waits."""
+        """Let a bird send the report that it sends every second while it waits."""
         for channel, data in self.birds[sender].report():
             if channel is Channel.STAGE:
                 self._to_listeners(Kind.STAGE, sender, data)
@@ -131,9 +131,9 @@ class Network:
                 self.in_flight.append(Letter(Kind.PROGRESS, CLOCK, data))
 
     def hand_over_forgery(self, to: int, data: bytes) -> None:
-        """Let a bird take a stage message that nobody sent: it is counted, and that is all.
+        """Let a bird take a forged stage message: it is counted, without another effect.
 
-        Before the bird is under way it may also be kept, for a beginning that never comes.
+        Before the bird has started, it may also keep the message, for a start that never comes.
         """
         bird = self.birds[to]
         before = bird.ignored
@@ -167,8 +167,8 @@ class Network:
         tick = STAGES * stage.step + stage.stage
         assert (stage.run_id, stage.epoch, stage.bird) == (RUN, EPOCH, sender)
         assert stage.encode() == data, "a stage is a BirdStage to the last byte"
-        timetable = self.configuration.linkage.timetable
-        assert tick == timetable.after(log.tick), "each stage once, in order"
+        exchange_schedule = self.configuration.link_table.exchange_schedule
+        assert tick == exchange_schedule.after(log.tick), "each stage once, in order"
         if tick:
             self._assert_has_heard(sender, log.tick)
             assert (tick - 1) // STAGES < log.limit, "a bird went on without leave"
@@ -176,15 +176,15 @@ class Network:
         for other in self.birds[sender].neighbours:
             behind = min(tick, self.log[other].tick)
             ahead = max(tick, self.log[other].tick)
-            assert ahead <= timetable.after(behind), "neighbours drifted apart"
+            assert ahead <= exchange_schedule.after(behind), "neighbours drifted apart"
         self._to_listeners(Kind.STAGE, sender, data)
 
     def _send_state(self, sender: int, data: bytes) -> None:
         log, state = self.log[sender], State.decode(data)
         assert state.step == len(log.states) * self.configuration.record_every
         assert state.step <= log.limit, "a state beyond what was granted"
-        timetable = self.configuration.linkage.timetable
-        assert log.tick <= STAGES * state.step < timetable.after(log.tick), (
+        exchange_schedule = self.configuration.link_table.exchange_schedule
+        assert log.tick <= STAGES * state.step < exchange_schedule.after(log.tick), (
             "a state goes out at the beginning of its step"
         )
         self._assert_has_heard(sender, log.tick)
@@ -196,7 +196,7 @@ class Network:
         assert (progress.run_id, progress.epoch) == (RUN, EPOCH)
         assert progress.who == bird_name(sender)
         assert progress.step <= log.limit
-        # Whatever is due up to this step is out: the clock may tell the recorder to wait for it.
+        # All states due up to this step are sent, because the recorder may wait for them.
         assert len(log.states) == progress.step // self.configuration.record_every + 1
         self.in_flight.append(Letter(Kind.PROGRESS, CLOCK, data))
 
@@ -225,9 +225,9 @@ class Network:
 
 
 def expected_states(configuration: FlockConfiguration) -> dict[int, list[bytes]]:
-    """Return the states of every bird as the monolithic flight has them, encoded as in a bag."""
+    """Return the states of every bird of the reference flight, encoded as in a bag."""
     states: dict[int, list[bytes]] = {bird: [] for bird in range(1, configuration.birds + 1)}
-    for flock in Monolith(configuration).fly():
+    for flock in Reference(configuration).fly():
         for bird, encoded in states.items():
             state = State.at(
                 configuration,

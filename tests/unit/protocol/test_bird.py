@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bird's step protocol: what it waits for, what it says, and that the flock flies to the bit."""
+"""A bird's step protocol: its waits and its messages. The flock flies bit for bit."""
 
 from dataclasses import replace
 from random import Random
@@ -7,15 +7,15 @@ from random import Random
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.core.stage_inbox import IMPOSSIBLE
-from flock_sim.core.stage_message import stage_header
-from flock_sim.core.terms import terms
-from flock_sim.core.timekeeper import Timekeeper
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from unit.network import EPOCH, RUN, Kind, Network, expected_states
+from flock_sim.messages.handshake import handshake
+from flock_sim.messages.rejection import IMPOSSIBLE
+from flock_sim.messages.stage_layout import stage_header
+from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.clock import Timekeeper
+from support.network import EPOCH, RUN, Kind, Network, expected_states
 
 
 def configured(**parameters) -> FlockConfiguration:
@@ -271,7 +271,7 @@ def test_a_bird_that_comes_back_when_the_run_is_over_is_not_needed():
     # The release is the last grant there is, and so the first that it hears: nobody answers it.
     configuration = configured()
     keeper = Timekeeper(configuration, RUN, window=100, record=False)
-    bird = BirdProtocol(2, configuration, life=9)
+    bird = BirdProtocol(2, configuration, incarnation=9)
     bird.receive_grant(keeper.release)
     assert bird.released
     assert bird.finished
@@ -354,7 +354,7 @@ def test_a_clock_of_another_flight_is_refused_by_name():
     other = configured(coupling="all", t_max=9.0)
     with pytest.raises(FlockError, match=r'bird_02 is to fly coupling = "nearest" and not "all"'):
         BirdProtocol(2, configuration).receive_grant(
-            grant(0, configuration, end=9, terms=terms(other))
+            grant(0, configuration, end=9, terms=handshake(other))
         )
 
 

@@ -1,23 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is for this stage, the next one or an epoch to come is kept; all else is told apart."""
+"""Messages of this stage, the next one or a later epoch are kept; all others are classified."""
 
 import numpy as np
 import pytest
 
-from flock_sim.core.links.timetable import Timetable
-from flock_sim.core.messages import Stage
-from flock_sim.core.stage_inbox import (
+from flock_sim.links.exchange_schedule import ExchangeSchedule
+from flock_sim.messages.epochs import REACH
+from flock_sim.messages.rejection import (
     AGAIN,
-    EARLY,
     FOREIGN,
     IMPOSSIBLE,
     MISSHAPEN,
-    REACH,
     REPEATED,
     STALE,
     STRANGE,
-    StageInbox,
 )
+from flock_sim.messages.types import Stage
+from flock_sim.protocol.stage_inbox import EARLY, StageInbox
 
 RUN, EPOCH = 7, 3
 
@@ -156,7 +155,7 @@ def test_what_is_said_again_to_a_bird_that_has_not_begun_is_no_news() -> None:
 
 
 def test_between_two_exchanges_nothing_is_lacking_and_the_next_one_is_taken() -> None:
-    box = StageInbox([1, 3], 1, Timetable(False, (3,)))
+    box = StageInbox([1, 3], 1, ExchangeSchedule(False, (3,)))
     box.close(RUN, EPOCH)
     box.open(0)
     assert lacking(box) == [1, 3]
@@ -173,7 +172,7 @@ def test_between_two_exchanges_nothing_is_lacking_and_the_next_one_is_taken() ->
 
 
 def test_an_epoch_that_begins_between_two_exchanges_takes_the_next_one_that_came_early() -> None:
-    box = StageInbox([1, 3], 1, Timetable(False, (3,)))
+    box = StageInbox([1, 3], 1, ExchangeSchedule(False, (3,)))
     box.close(RUN, EPOCH)
     assert box.take(stage(1, 12)) == ""
     box.open(8)
@@ -183,7 +182,9 @@ def test_an_epoch_that_begins_between_two_exchanges_takes_the_next_one_that_came
 
 
 def test_what_is_said_again_is_known_by_the_exchange_whatever_tick_that_is_at() -> None:
-    box = StageInbox([1, 3], 1, Timetable(False, (3, 5)))  # at ticks 0, 12, 20, 24, 36, 40, 48
+    box = StageInbox(
+        [1, 3], 1, ExchangeSchedule(False, (3, 5))
+    )  # at ticks 0, 12, 20, 24, 36, 40, 48
     box.close(RUN, EPOCH)
     box.open(0)
     for tick in range(27):

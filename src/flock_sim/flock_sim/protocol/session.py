@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a message belongs to the run and the epoch of a node: one rule for all nodes.
+
+A message that this rule refuses has no effect at all. The rule can't detect false values that are
+plausible: a node on the same ROS domain that imitates a bird is accepted.
+"""
+
+from __future__ import annotations
+
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.messages.epochs import NEVER, REACH, ahead
+from flock_sim.messages.handshake import check_handshake
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, REPEATED, STALE
+from flock_sim.messages.types import Grant, Push
+from flock_sim.protocol.free_flight import NO_WAY_BACK
+
+
+class Session:
+    """The run and the epoch of one node, and the content of the clock's grants."""
+
+    def __init__(
+        self, who: str, configuration: FlockConfiguration, run_id: int, factor: float = 0.0
+    ) -> None:
+        """Start without an epoch. `run_id` 0: the run of the first grant.
+
+        `factor` is the real-time factor; 0 in lockstep.
+        `who` names the node in errors.
+        """
+        self.run_id = run_id
+        self.epoch = NEVER
+        self.flying = False
+        """Whether the node flies in this epoch. If so, it joins an epoch beyond REACH at its second
+        grant."""
+        self._who = who
+        self._configuration = configuration
+        self._factor = factor
+        self._terms = ""
+        self._granted = -1
+        self._over = False  # the clock has ended the run
+        self._silent = False  # no message has arrived since
+        self._far = NEVER  # the last epoch out of reach in a grant
+        self._anew = 0  # grants of later epochs received in a free flight
+
+    def refuses(self, run_id: int, epoch: int) -> str:
+        """Return why a message of this run and epoch has no effect, or ""."""
+        if self.run_id not in (0, run_id):
+            return FOREIGN
+        return STALE if ahead(epoch, self.epoch) < 0 else ""
+
+    def refuses_grant(self, grant: Grant) -> str:
+        """Return why a grant has no effect, or "".
+
+        Raises FlockError if the first grant is from a clock with another configuration. Raises
+        RunFailed at the second grant of a later epoch during a free flight.
+        """
+        if reason := self.refuses(grant.run_id, grant.epoch):
+            return reason
+        first = self.epoch == NEVER
+        if first or grant.terms != self._terms:
+            try:
+                reason = self._differs(grant)
+            except FlockError:
+                if first:
+                    raise
+                reason = FOREIGN
+            if reason:
+                return reason
+        if grant.end > self._configuration.steps or grant.step > grant.end + 1:
+            return REPEATED
+        if self.flying and ahead(grant.epoch, self.epoch) > REACH and grant.epoch != self._far:
+            self._far = grant.epoch  # the clock repeats a genuine grant within a second
+            return REPEATED
+        same = grant.epoch == self.epoch
+        if self._factor and self._granted > 0 and not same:
+            self._anew += 1
+            if self._anew > 1:
+                raise RunFailed(f"{self._who}: {NO_WAY_BACK}")
+            return REPEATED
+        # A run ends at the last granted step, or later.
+        return IMPOSSIBLE if same and grant.end < self._granted else ""
+
+    def take_grant(self, grant: Grant) -> bool:
+        """Apply a grant that is not refused; return whether it begins a new epoch."""
+        self._terms = grant.terms
+        new = grant.epoch != self.epoch
+        if new:
+            self.run_id, self.epoch = grant.run_id, grant.epoch
+            self.flying = self._over = self._silent = False
+            self._granted = -1
+        self._over |= grant.step > grant.end
+        self._granted = max(self._granted, min(grant.step, grant.end))
+        return new
+
+    def released(self, step: int, end: int) -> bool:
+        """Whether the run is over for a node at `step` of a run that ends at `end`.
+
+        A node that flies continues to the last recorded step, so that no message can end it early.
+        It ends earlier only if no more messages arrive.
+        """
+        last_row = end - end % self._configuration.record_every
+        return self._over and (not self.flying or self._silent or step >= last_row)
+
+    def hear_nothing(self) -> None:
+        """Note that no message has arrived for a while."""
+        self._silent = self._over
+
+    def _differs(self, grant: Grant) -> str:
+        configuration = self._configuration
+        try:
+            if grant.terms or self._factor:
+                check_handshake(self._who, configuration, grant.terms, self._factor)
+                return ""
+        except ValueError:
+            return MALFORMED
+        if grant.dt != configuration.dt or (
+            self.epoch == NEVER and grant.end != configuration.steps
+        ):
+            raise FlockError(
+                f"the clock flies {grant.end} steps of dt = {grant.dt:g} and {self._who} "
+                f"{configuration.steps} of {configuration.dt:g}: give both the same configuration"
+            )
+        return ""
+
+
+def refuses_push(push: Push, configuration: FlockConfiguration, saved: int) -> str:
+    """Return why a push that was requested in flight can't be flown, or "".
+
+    `saved` is the last step on disk: a recorded step can't be pushed any more.
+    """
+    try:
+        push.check(configuration)
+    except FlockError:
+        return IMPOSSIBLE
+    return "" if push.step > saved else REPEATED
