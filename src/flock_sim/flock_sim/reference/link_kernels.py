@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All links of a flock at once, for the reference: what every bird feels by what it knows."""
+"""All links of a flock at once, for the reference: the drags that birds compute from their data."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from functools import cache
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flight import circulation_at, drag_of_pair
-from flock_sim.core.flock_step import move
-from flock_sim.core.kernel import FloatArray, IntArray, anew, kernel
-from flock_sim.core.links.linkage import SOURCE, TARGET
-from flock_sim.core.links.reception import Hear, hear, hearing
-from flock_sim.core.runge_kutta import STAGES
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.links.channel import Hear, hear, hearing
+from flock_sim.links.link_table import SOURCE, TARGET
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray, IntArray
+from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.dynamics import circulation_at, drag_of_pair
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.reference.flock_kernel import move
 
 
 class FlockLinks:
-    """The links of a flock and what its birds remember.
+    """The links of a flock and the memory of its birds.
 
-    `arrays` are the links (links, 7), by target and source; the pair that each is of (links,);
-    the faults (links, 10, members); and the memory (vectors, members). `felt` and `advance` are the
-    kernels below, with all models that there are.
+    `arrays` are the links (links, 7), ordered by target and source; the index of the pair of each
+    link (links,); the faults (links, 10, members); and the memory (vectors, members). `felt` and
+    `advance` are the kernels below, with all existing link models.
     """
 
     def __init__(self, configuration: FlockConfiguration, members: int) -> None:
-        """Have nobody heard anything; `members` may be more than those of the configuration."""
+        """Start before any message; `members` may be more than those of the configuration."""
         birds = configuration.birds
         pairs = {pair: k for k, pair in enumerate(formation.pairs(birds, configuration.coupling))}
-        plan = configuration.linkage.plan(range(1, birds + 1), members)
+        plan = configuration.link_table.plan(range(1, birds + 1), members)
         between = [pairs[min(pair), max(pair)] for pair in plan.links[:, [SOURCE, TARGET]].tolist()]
         self.felt, self.advance = _flying(hearing())
         self.arrays = plan.links, np.array(between, dtype=np.int64), plan.faults, plan.memory()
@@ -53,10 +54,10 @@ def felt(
     circulation: FloatArray,
     drag: FloatArray,
 ) -> None:
-    """Fill `circulation` and `drag`, both (birds, members), with what is felt at `tick`.
+    """Fill `circulation` and `drag`, both (birds, members), at `tick`, and update the memory.
 
-    `position` and `speed` (birds, members) are those at its stage, `lateral` and `even`
-    (pairs, members) those of a Flock; the memory is that after it.
+    `position` and `speed` (birds, members) are those at the stage of `tick`; `lateral` and `even`
+    (pairs, members) are those of a Flock.
     """
     birds, members = position.shape
     known_position, known_circulation = np.empty(members), np.empty(members)
@@ -113,7 +114,7 @@ def advance_over_links(
 ) -> None:
     """Take the steps from `first` to below `until` in place, recording multiples of `every`.
 
-    Each bird knows of its neighbours what comes over its links; the arrays are those of `felt`.
+    Each bird knows its neighbours only by its links. The arrays are those of `felt`.
     """
     position_now = position.copy()
     speed_now = speed.copy()
@@ -163,7 +164,7 @@ def advance_over_links(
 
 @cache
 def _flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return `felt` and `advance_over_links` for what `hearing` gives."""
+    """Return `felt` and `advance_over_links` for `heard`, the kernel from `hearing`."""
     if heard is hear:
         return felt, advance_over_links
     feel = anew(felt, hear=heard)

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics of a run, as people read them."""
+"""The metrics of a run as text."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.metrics import STABLE_BELOW, Metrics
+from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
+from flock_sim.physics.arrays import FloatArray
 
 MOST_MEMBERS = 12
 WIDTH = 8
-"""Values a line."""
+"""Number of values per line."""
 
 
 def summary(metrics: Metrics) -> str:
@@ -52,9 +52,9 @@ def _member(metrics: Metrics, m: int) -> list[str]:
 
 
 def wings(spacing: FloatArray, drag_reduction: FloatArray, leader: int) -> list[str]:
-    """Return spacing and drag saved along the left wing; along the right one where it differs.
+    """Return spacing and saved drag along the left wing, and along the right one if it differs.
 
-    `spacing` has shape (birds - 1,), in b, `drag_reduction` (birds,), of two birds or more.
+    `spacing` has shape (birds - 1,), in b, `drag_reduction` (birds,), for two birds or more.
     """
     head = leader - 1
     saved = 100.0 * drag_reduction
@@ -80,8 +80,8 @@ def _alike(left: FloatArray, right: FloatArray, tolerance: float) -> bool:
 
 
 def row(name: str, values: FloatArray, digits: int, order: str = "(tail to leader)") -> list[str]:
-    """Return values, in as many lines as they need; `order` says which is which."""
-    # Adding 0.0 to what is rounded keeps -0.0000 away.
+    """Return the values in as many lines as needed; `order` is a note on their order."""
+    # Adding 0.0 to a rounded value turns -0.0 into 0.0.
     cells = [f"{round(float(value), digits) + 0.0:8.{digits}f}" for value in values]
     rows = [cells[k : k + WIDTH] for k in range(0, len(cells), WIDTH)]
     lines = [f"  {'':<20} {' '.join(line)}" for line in rows]

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Runge-Kutta stage of a whole flock: what everybody feels, and where that moves them."""
+"""A Runge-Kutta stage of a whole flock: the drags on all birds, and the resulting motion."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
-from flock_sim.core.kernel import FloatArray, kernel
-from flock_sim.core.runge_kutta import stage_value
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.compile import kernel
+from flock_sim.physics.dynamics import acceleration, circulation_at, drag_of_pair, stage_value
 
 
 @kernel
@@ -58,7 +58,7 @@ def move(
     position_now: FloatArray,
     speed_now: FloatArray,
 ) -> None:
-    """Compute the slopes at `stage`, and from these the values at the next one."""
+    """Compute the slopes at `stage`, and from these the values at the next stage."""
     birds, members = position.shape
     for i in range(birds):
         for m in range(members):

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is to be recorded, put in order: messages in, as they come; complete rows out.
+"""The assembly of rows: messages come in any order; complete rows go out in order.
 
-A row is all that belongs to one recorded step: the wings (with the first), the stages of the steps
-since the row before (where stages are recorded), the time, the state of every bird, and the memory
-of those who have one, or in a free flight the ages of what they knew. Rows leave in order, each
-once, so that what the bag holds does not depend on how messages travelled.
+A row has all messages of one recorded step: the wings (first row only), the stages of the steps
+since the previous row (if stages are recorded), the time, the state of every bird, and the memory
+of each bird that has one, or in a free flight the ages. Each row goes out once, so the content of
+the bag does not depend on the order in which messages arrive.
 
-States say which run and epoch they are of; in the bag they say so no more.
+Received states carry their run id and epoch; in the bag both are 0.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Ages, Memory, State, Time
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.core.stage_message import stage_header
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.stage_layout import stage_header
+from flock_sim.messages.types import Ages, Memory, State, Time
+from flock_sim.physics.runge_kutta import STAGES
 
 
 @dataclass(frozen=True)
 class Row:
-    """Everything to be written for one recorded step, as it came off the wire."""
+    """All messages of one recorded step, as they were received."""
 
     step: int
     wings: list[bytes]
-    """The wing of bird 1, 2, ... N, with the first row."""
+    """The wing of bird 1, 2, ... N, in the first row only."""
     stages: list[tuple[int, bytes]]
-    """(bird, message), by step, stage and bird."""
+    """(bird, message), ordered by step, stage and bird."""
     time: bytes
     states: list[bytes]
     """The state of bird 1, 2, ... N."""
     memories: list[bytes] = field(default_factory=list)
     """The memory of those birds that have one, in order."""
     ages: list[bytes] = field(default_factory=list)
-    """The ages that bird 1, 2, ... N told of what it knew, in a free flight."""
+    """The ages of bird 1, 2, ... N, in a free flight."""
 
 
 class _Gathering:
@@ -50,8 +50,8 @@ class _Gathering:
         self.ages: dict[int, bytes] = {}
 
 
-class Ledger:
-    """Gathers the rows of one run; what comes twice or is not due is counted and left out."""
+class RowAssembler:
+    """Assembles the rows of one run. Repeated or unexpected messages are counted and left out."""
 
     def __init__(
         self,
@@ -63,55 +63,61 @@ class Ledger:
     ) -> None:
         """Expect every recorded step of `configuration` after `saved`; `free`: of a free flight.
 
-        Birds that fly freely tell the ages of what they know, and have no memory to go on from.
-        Nor has who is `played`: such states are of run 0, as those of a bag are.
+        In a free flight, birds send ages and no memories. In a `played` flight birds send no
+        memories, and their states have run id 0, as in a bag.
         """
         self.ignored_for: Counter[str] = Counter()
-        """How many messages were left out, by the reason."""
+        """Number of messages that were left out, by reason."""
         self._configuration = configuration
         self._birds = range(1, configuration.birds + 1)
         self._every = configuration.record_every
         self._record_stages = record_stages
         self._rows: dict[int, _Gathering] = {}
         self._wings: dict[int, bytes] = {}
-        remembers = configuration.linkage.remembers
+        remembers = configuration.link_table.remembers
         self._remember = [bird for bird in self._birds if not (free or played) and remembers(bird)]
         self._tell_ages = len(self._birds) if free else 0
+        self._lengths = State.lengths(configuration.members)
+        self._members = {configuration.members}
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every
         self._last = self._last_due(configuration.steps)
 
     @property
     def ignored(self) -> int:
-        """How many messages were left out."""
+        """Number of messages that were left out."""
         return self.ignored_for.total()
 
     @property
     def saved(self) -> int:
-        """The step of the last row that left; -1 before the first."""
+        """The step of the last row that went out; -1 before the first."""
         return max(-1, self._next - self._every)
 
     @property
     def complete(self) -> bool:
-        """Whether every row has left."""
+        """Whether every row has gone out."""
         return self._next > self._last
 
-    def begin(self, run_id: int, epoch: int) -> None:
-        """Expect states of a new epoch; what was gathered and is not complete comes again.
+    def complete_to(self, end: int) -> bool:
+        """Whether every row up to step `end` has gone out."""
+        return self._next > self._last_due(end)
 
-        Where the run was to be stopped is forgotten: a new clock may not know of it.
+    def begin(self, run_id: int, epoch: int) -> None:
+        """Expect states of a new epoch. Incomplete rows are dropped: their messages come again.
+
+        The step set by `end_at` is dropped too, since a new clock may not know it.
         """
         self._run = (run_id, epoch)
         self._rows.clear()
         self._last = self._last_due(self._configuration.steps)
 
     def end_at(self, step: int) -> None:
-        """Expect nothing after `step`: the run is to be stopped there."""
+        """Expect no row after `step`: the run will be stopped there."""
         self._last = min(self._last, self._last_due(step))
 
     @property
     def waiting_for(self) -> list[int]:
-        """The birds of which the next row lacks something."""
+        """The birds from which the next row lacks a message."""
         row = self._row(self._next)
         return [
             bird
@@ -122,6 +128,16 @@ class Ledger:
             or (self._tell_ages and bird not in row.ages)
         ]
 
+    @property
+    def lacks_wings(self) -> bool:
+        """Whether the next row lacks the wing of a bird."""
+        return self._next == 0 and len(self._wings) < len(self._birds)
+
+    def lacks_state(self, bird: int) -> bool:
+        """Whether the next row lacks the state of `bird`."""
+        row = self._rows.get(self._next)
+        return row is None or bird not in row.states
+
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
         """Take the BirdWing of `bird`; return the rows that are complete with it."""
         self._wings.setdefault(bird, data)
@@ -129,7 +145,7 @@ class Ledger:
 
     def add_state(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
-        if len(data) != State.size(self._configuration.members):
+        if len(data) != self._lengths.size or set(self._lengths.unpack(data)) != self._members:
             return self._ignore(MISSHAPEN)
         run_id, epoch = State.envelope(data)
         if (run_id, epoch) != self._run:
@@ -145,7 +161,7 @@ class Ledger:
         memory = Memory.decode(data)
         if (memory.run_id, memory.epoch) != self._run:
             return self._ignore(FOREIGN if memory.run_id != self._run[0] else STALE)
-        size = self._configuration.linkage.remembers(bird) * self._configuration.members
+        size = self._configuration.link_table.remembers(bird) * self._configuration.members
         if len(memory.data) != size:
             return self._ignore(MISSHAPEN)
         if not self._due(memory.step) or bird in self._row(memory.step).memories:
@@ -200,12 +216,14 @@ class Ledger:
     def _complete(self) -> list[Row]:
         rows = []
         birds = self._birds
-        timetable = self._configuration.linkage.timetable
+        exchange_schedule = self._configuration.link_table.exchange_schedule
         while not self.complete:
             row = self._row(self._next)
             stages = 0
             if self._record_stages and self._next:
-                stages = len(birds) * timetable.exchanges(self._next - self._every, self._next)
+                stages = len(birds) * exchange_schedule.exchanges(
+                    self._next - self._every, self._next
+                )
             if (
                 row.time is None
                 or (self._next == 0 and len(self._wings) < len(birds))

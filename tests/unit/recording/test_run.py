@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run read back is the run that was flown, also where its bag is not whole."""
+"""A run is read back as it was flown, also from an incomplete bag."""
 
 import gc
 import os
@@ -12,16 +12,18 @@ import numpy as np
 import pytest
 
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
-from flock_sim.core import messages, topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.perturbation import Perturbation
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.commands.reference import row
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
-from flock_sim.recording import recording
-from flock_sim.reference import row
-from flock_sim.run import ARRAYS, Run
-from unit.flights import record
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.types import ARRAYS
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.run import Run
+from flock_sim.reference.integrator import Reference
+from support.flights import record
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=60.0, record_every=3, span_ratios=("3=0.99,1.0",))
 
@@ -46,7 +48,7 @@ def test_every_recorded_step_comes_back_to_the_bit(flight: Path, opened: Open) -
     assert run.configuration == CONFIGURATION
     assert run.missing is None
     snapshots = list(run.snapshots())
-    flown = list(Monolith(CONFIGURATION).fly())
+    flown = list(Reference(CONFIGURATION).fly())
     assert [snapshot.step for snapshot in snapshots] == list(range(0, 61, 3))
     for snapshot, recorded in zip(snapshots, flown, strict=True):
         assert snapshot.time == recorded.step * CONFIGURATION.dt
@@ -150,7 +152,7 @@ PUSHES = [
 
 def pushed(path: Path, messages_of_it: list[messages.Push], rows_to: int = 60) -> Path:
     """Record a flight up to step `rows_to` in which these were asked for before it began."""
-    states = [state for state in Monolith(CONFIGURATION).fly() if state.step <= rows_to]
+    states = [state for state in Reference(CONFIGURATION).fly() if state.step <= rows_to]
     with recording(path, CONFIGURATION, grants=True) as run:
         for message in messages_of_it:
             run.write_perturbation(message)
@@ -182,7 +184,7 @@ def test_a_recorded_push_of_what_is_not_there_is_refused(
 ) -> None:
     message = replace(messages.Push.of(7, 1, PUSHES[1]), **change)
     run = opened(pushed(tmp_path / "run", [message]))
-    with pytest.raises(FlockError, match="another copy of the bag"):
+    with pytest.raises(FlockError, match=r"leave it out by \./flock repair"):
         run.perturbations()
 
 

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The summary says what the metrics say, for every flock that can be flown."""
+"""The summary agrees with the metrics, for every flock that can be flown."""
 
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.metrics import Metrics, measure
-from flock_sim.core.monolith import Monolith
-from flock_sim.summary import MOST_MEMBERS, summary
+from flock_sim.analysis.metrics import Metrics, measure
+from flock_sim.analysis.summary import MOST_MEMBERS, summary
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.reference.integrator import Reference
 
 
 def metrics_of(configuration: FlockConfiguration) -> Metrics:
-    flock = Monolith(configuration)
+    flock = Reference(configuration)
     flock.advance(configuration.steps)
     return measure(
         configuration, configuration.steps, flock.position, flock.speed, flock.observe()[3]

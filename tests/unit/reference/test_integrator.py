@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flock's flight against an independent integration, and against its own exact steady state."""
+"""The flock's flight against an independent integration, and against its exact steady state."""
 
 from itertools import pairwise
 from math import log, log2, pi, sqrt
@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from flock_sim.core import formation
-from flock_sim.core.aerodynamics import interaction_integral
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.monolith import Monolith
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics import formation
+from flock_sim.physics.aerodynamics import interaction_integral
+from flock_sim.reference.integrator import Reference
 
 EPS = 2.0**-52
 
@@ -25,14 +25,14 @@ A = pi / 4.0
 GAP = 1.0 + A  # lateral distance of two standard neighbours: 2 b + s_opt
 
 
-def flown(**parameters) -> Monolith:
+def flown(**parameters) -> Reference:
     """A flock at the end of its flight."""
-    flock = Monolith(FlockConfiguration(**parameters))
+    flock = Reference(FlockConfiguration(**parameters))
     flock.advance(flock.configuration.steps)
     return flock
 
 
-def shares(flock: Monolith) -> np.ndarray:
+def shares(flock: Reference) -> np.ndarray:
     """D_{i,i-1} / C of every neighbouring pair of a homogeneous flock, tail to head."""
     even = log(1.0 - (2.0 * A / GAP) ** 2)
     return interaction_integral(np.diff(flock.position[:, 0]), GAP, A, A) / (2.0 * even)
@@ -192,7 +192,7 @@ SPEED_QUANTUM = 2.0**-36
 
 
 @pytest.fixture(scope="module", params=[3, 7, 13, 31], ids=lambda birds: f"{birds} birds")
-def settled(request) -> Monolith:
+def settled(request) -> Reference:
     """A homogeneous flock at its steady state. Module-wide: 31 birds take a second to settle."""
     return flown(birds=request.param, t_max=1e5)
 
@@ -260,8 +260,8 @@ def test_a_bird_with_no_solo_cruise_speed_is_carried_by_the_flock():
 def test_a_mirrored_flock_flies_mirrored(birds):
     # Nearest neighbours: a bird adds two drags, and a + b is b + a to the bit. Even flocks start
     # with the leader right of the middle, so their start is mirrored by hand.
-    one = Monolith(FlockConfiguration(birds=birds, t_max=500.0, span_ratios=("2=1.05",)))
-    other = Monolith(
+    one = Reference(FlockConfiguration(birds=birds, t_max=500.0, span_ratios=("2=1.05",)))
+    other = Reference(
         FlockConfiguration(birds=birds, t_max=500.0, span_ratios=(f"{birds - 1}=1.05",))
     )
     other.position[:] = one.position[::-1]
@@ -272,8 +272,8 @@ def test_a_mirrored_flock_flies_mirrored(birds):
 
 
 def test_only_differences_of_position_matter():
-    here = Monolith(FlockConfiguration(birds=5, coupling="all", t_max=200.0))
-    there = Monolith(here.configuration)
+    here = Reference(FlockConfiguration(birds=5, coupling="all", t_max=200.0))
+    there = Reference(here.configuration)
     there.position += 1000.0
     here.advance(200)
     there.advance(200)
@@ -284,7 +284,7 @@ def test_only_differences_of_position_matter():
 
 
 def test_a_pair_side_by_side_stays_so():
-    flock = Monolith(FlockConfiguration(birds=3, coupling="all", t_max=1000.0, dt=0.5))
+    flock = Reference(FlockConfiguration(birds=3, coupling="all", t_max=1000.0, dt=0.5))
     flock.advance(2000)
     assert flock.position[0, 0] == flock.position[2, 0]
 
@@ -310,7 +310,7 @@ def test_a_member_that_diverges_changes_no_bit_of_the_others(quantity, value, co
     configuration = FlockConfiguration(
         birds=4, coupling=coupling, t_max=50.0, span_ratios=("3=0.9,1.0,1.1",)
     )
-    whole, hurt = Monolith(configuration), Monolith(configuration)
+    whole, hurt = Reference(configuration), Reference(configuration)
     getattr(hurt, quantity)[1, 1] = value
     recorded, unaffected = hurt.advance(50), whole.advance(50)
     assert not np.array_equal(recorded[..., 1], unaffected[..., 1], equal_nan=True)
@@ -325,17 +325,17 @@ def test_a_member_that_diverges_changes_no_bit_of_the_others(quantity, value, co
 @pytest.mark.parametrize("rows", [1, 2, 1024])
 def test_every_recorded_step_comes_once_whatever_is_held_at_once(steps, every, rows):
     configuration = FlockConfiguration(birds=3, t_max=float(steps), record_every=every)
-    states = list(Monolith(configuration).fly(rows=rows))
+    states = list(Reference(configuration).fly(rows=rows))
     assert [state.step for state in states] == list(range(0, steps + 1, every))
     # The same states as a flight that records every step.
-    finest = list(Monolith(FlockConfiguration(birds=3, t_max=float(steps), record_every=1)).fly())
+    finest = list(Reference(FlockConfiguration(birds=3, t_max=float(steps), record_every=1)).fly())
     for state in states:
         for name in ("position", "speed", "circulation", "interaction_drag"):
             np.testing.assert_array_equal(getattr(state, name), getattr(finest[state.step], name))
 
 
 def test_flight_starts_in_the_v_at_cruising_speed():
-    state = next(Monolith(FlockConfiguration(birds=5, t_max=1.0)).fly())
+    state = next(Reference(FlockConfiguration(birds=5, t_max=1.0)).fly())
     expected = [-2 * GAP, -GAP, 0.0, -GAP, -2 * GAP]
     # tan(45 degrees) and the spacing are an ulp off each.
     np.testing.assert_allclose(state.position[:, 0], expected, rtol=4 * EPS, atol=0)
@@ -349,7 +349,7 @@ def test_recorded_drag_is_the_sum_over_the_birds_felt(coupling):
     configuration = FlockConfiguration(
         birds=4, coupling=coupling, t_max=40.0, span_ratios=("2=0.9", "4=1.2")
     )
-    state = list(Monolith(configuration).fly())[-1]
+    state = list(Reference(configuration).fly())[-1]
     lateral = np.concatenate([[0.0], np.cumsum(ratios[:-1] + ratios[1:] + A - 1.0)])
     for j in range(4):
         felt = [

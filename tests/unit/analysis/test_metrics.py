@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics are the paper's, computed here a second time by other means."""
+"""The metrics agree with an independent computation of the paper's metrics."""
 
 import json
 from fractions import Fraction
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from flock_sim.core import metrics as core_metrics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.metrics import Metrics, measure
+from flock_sim.analysis import metrics as core_metrics
+from flock_sim.analysis.metrics import Metrics, measure
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 
 K = 2.0 * 0.025 / 9.0  # Eq. (hatk)
 CRUISE = 18.5 / 18.0

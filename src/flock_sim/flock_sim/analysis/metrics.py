@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a flock at one moment: does it hold together, how, and what is gained."""
+"""The metrics of a flock at one time: whether it holds together, its shape, and drag savings."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.aerodynamics import even_part, interaction_integral
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.scaling import Scales
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.interaction import ahead_integral_and_slope, even_part
+from flock_sim.physics.scaling import Scales
 
 STABLE_BELOW = 1e-4
-"""A flock is stable where sigma_U is below this, in U_min."""
+"""A flock is stable if sigma_U is below this limit, in U_min."""
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """The metrics of a flock; every list has one entry a member, birds run from tail to tail."""
+    """The metrics of a flock; lists have one entry per member; birds go from tail to tail."""
 
     birds: int
     members: int
@@ -50,7 +50,7 @@ class Metrics:
     None where it does not apply: not homogeneous, not nearest-neighbour, or N even."""
 
     def as_json(self) -> dict[str, object]:
-        """Return plain lists and numbers, None for what is not finite."""
+        """Return plain lists and numbers, with None for values that are not finite."""
         return {name: plain(value) for name, value in vars(self).items()}
 
 
@@ -112,19 +112,21 @@ def _profile_error(configuration: FlockConfiguration, left: FloatArray) -> list[
         ):
             errors.append(None)
             continue
-        half = formation.VORTEX_FRACTION * ratio[0]
-        lateral = 2.0 * ratio[0] + formation.TIP_SPACING
+        half = formation.VORTEX_FRACTION * float(ratio[0])
+        lateral = 2.0 * float(ratio[0]) + formation.TIP_SPACING
         # C = Gamma^2 E / (2 pi) and D_{i,i-1} = Gamma^2 I / (4 pi): their ratio is I / (2 E).
-        share = interaction_integral(left[:, m], lateral, half, half) / (
-            2.0 * even_part(lateral, half, half)
+        twice_even = 2.0 * even_part(lateral, half, half)
+        ahead = np.array(
+            [ahead_integral_and_slope(abs(x), lateral, half, half)[0] for x in left[:, m].tolist()]
         )
+        share = np.where(left[:, m] > 0.0, twice_even - ahead, ahead) / twice_even
         gap = np.arange(1, len(left) + 1)
         errors.append(float(np.max(np.abs(share - (1.0 - gap / birds)))))
     return errors
 
 
 def plain(value: object) -> object:
-    """Return arrays as lists, and None for what is not finite: JSON has no nan."""
+    """Return arrays as lists, and None for values that are not finite: JSON has no nan."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What birds remember is in the bag as far as a flight needs it to be gone on with."""
+"""The bag has the memories of birds that a resumption needs."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.bag.writer import BagWriter
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Row
-from flock_sim.core.messages import Memory
-from flock_sim.core.monolith import Monolith
-from flock_sim.recording import recording
-from flock_sim.reference import row as row_of
-from flock_sim.run import Run
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.commands.reference import row as row_of
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages.types import Memory
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.row_assembler import Row
+from flock_sim.recording.run import Run
+from flock_sim.reference.integrator import Reference
 
 CONFIGURATION = FlockConfiguration(
     birds=3, t_max=20.0, record_every=2, links=("1->2=hold:delay=3", "2->3=linear:drop=0.2")
@@ -25,15 +25,15 @@ REMEMBER = (2, 3)
 
 
 def with_memories(row: Row) -> Row:
-    linkage = CONFIGURATION.linkage
+    link_table = CONFIGURATION.link_table
     memories = [
-        Memory(9, row.step, 3, bird, np.full(linkage.remembers(bird), float(row.step))).encode()
+        Memory(9, row.step, 3, bird, np.full(link_table.remembers(bird), float(row.step))).encode()
         for bird in REMEMBER
     ]
     return Row(row.step, row.wings, row.stages, row.time, row.states, memories)
 
 
-ROWS = [with_memories(row_of(CONFIGURATION, state)) for state in Monolith(CONFIGURATION).fly()]
+ROWS = [with_memories(row_of(CONFIGURATION, state)) for state in Reference(CONFIGURATION).fly()]
 
 
 def remembered(directory: Path) -> list[int]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a free flight: how fresh was what its birds knew, and what came of that."""
+"""The evaluation of a free flight: the ages of the used messages, and their effect."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.metrics import plain
-from flock_sim.core.monolith import Monolith
-from flock_sim.run import Run
+from flock_sim.analysis.metrics import plain
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.recording.run import Run
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How values are distributed: median, 95 % of them are below, largest."""
+    """The distribution of values: median, 95th percentile and largest value."""
 
     median: float
     p95: float
@@ -26,38 +25,38 @@ class Spread:
 
     @classmethod
     def of(cls, values: FloatArray, largest: FloatArray) -> Spread:
-        """Return it for `values`, where `largest` are the largest of those between them."""
+        """Return the distribution of `values`; `largest` has the largest values between them."""
         median, p95 = np.quantile(values, (0.5, 0.95)).tolist()
         return cls(median, p95, float(np.max(largest)))
 
     def times(self, unit: float) -> Spread:
-        """Return it in another unit."""
+        """Return the distribution in another unit."""
         return Spread(unit * self.median, unit * self.p95, unit * self.max)
 
 
 @dataclass(frozen=True)
-class Freshness:
-    """How old what the birds of a free flight knew was, and how punctual they were."""
+class MessageAge:
+    """The ages of the birds' data on their neighbours in a free flight, and late steps."""
 
     factor: float
-    """How much faster than real time it was flown."""
+    """Real-time factor of the flight."""
     unit: float
-    """b / U_min in s of real time: at that factor."""
+    """b / U_min in s of real time, at this factor."""
     links: dict[tuple[int, int], Spread]
     """The ages in s of real time, by (source, target)."""
     age: Spread | None
-    """Those of all links; None where nobody has a neighbour."""
+    """The ages of all links, in s of real time; None if no bird has a neighbour."""
     behind: Spread | None
-    """How many steps the states that were used were behind the steps that they were used in."""
+    """Number of steps by which the used states lag the steps in which they were used."""
     taken: int
-    """How many steps all birds took, up to the last recorded one."""
+    """Number of steps that all birds took, up to the last recorded one."""
     late: list[int]
-    """Of each bird, how many steps it took only when the next one was due as well."""
+    """For each bird, the number of steps that it took when the next step was already due."""
     lateness: float
-    """The most that a step was taken after it was due, in s."""
+    """Largest delay of a step after its due time, in s."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return what `metrics` says; ages are in b / U_min where they are not in seconds."""
+        """Return the JSON output of `metrics`. Ages are in b / U_min, except `age_seconds`."""
         perhaps = self.age.times(1.0 / self.unit) if self.age else None
         return {
             "mode": "free",
@@ -94,10 +93,10 @@ class Freshness:
         return lines
 
 
-def freshness(run: Run) -> Freshness | None:
-    """Return how fresh what birds knew was in `run`; None where it was not flown freely.
+def freshness(run: Run) -> MessageAge | None:
+    """Return the ages of the used messages in `run`; None if it was not flown freely.
 
-    The largest age is that of all steps, the distribution that of the recorded ones.
+    The largest age is that of all steps; the distribution is that of the recorded steps.
     """
     factor, flown = run.real_time_factor, run.configuration
     if not factor:
@@ -120,21 +119,21 @@ def freshness(run: Run) -> Freshness | None:
         all_values = np.concatenate(every)
         age = Spread.of(all_values[:, 0], all_values[:, 1])
         behind = Spread.of(all_values[:, 2], all_values[:, 2])
-    return Freshness(factor, flown.second / factor, links, age, behind, sum(taken), late, lateness)
+    return MessageAge(factor, flown.second / factor, links, age, behind, sum(taken), late, lateness)
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far a flight is off another: each has shape (quantities, members), those of UNITS.
+    """The deviation of a flight from another: arrays of shape (quantities, members), as in UNITS.
 
-    They are the largest differences of any bird at the last recorded step, and at any.
+    They are the largest differences of any bird, at the last recorded step and at any step.
     """
 
     end: FloatArray
     most: FloatArray
 
     def as_json(self) -> dict[str, object]:
-        """Return it by quantity, None for what is not finite."""
+        """Return the deviation by quantity, with None for values that are not finite."""
         return {
             name: {"end": plain(self.end[k]), "max": plain(self.most[k])}
             for k, name in enumerate(UNITS)
@@ -150,15 +149,17 @@ class Deviation:
 
 
 UNITS = {"position": "b", "spacing": "b", "speed": "U_min"}
-"""What deviates, and its unit."""
+"""The compared quantities and their units."""
 
 
 def deviation(run: Run, show: Callable[[int], None]) -> Deviation:
-    """Return how far `run` is off the lockstep flight of what it flew; `show` hears of steps."""
+    """Return the deviation of `run` from its lockstep flight; `show` is called with each step."""
+    from flock_sim.reference.integrator import Reference  # with numba
+
     flown = run.configuration
     end = np.zeros((len(UNITS), flown.members))
     most = end
-    lockstep = Monolith(flown, live=run.perturbations()).fly()
+    lockstep = Reference(flown, live=run.perturbations()).fly()
     for snapshot, exact in zip(run.snapshots(), lockstep, strict=False):
         position, speed = snapshot.position - exact.position, snapshot.speed - exact.speed
         off = (position, np.diff(position, axis=0), speed)

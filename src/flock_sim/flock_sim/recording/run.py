@@ -12,16 +12,23 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from flock_sim.bag.reader import BagReader
-from flock_sim.core import formation, messages, topics
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.metrics import Metrics, measure
-from flock_sim.core.perturbation import Perturbation
+from flock_sim.analysis.metrics import Metrics, measure
+from flock_sim.bag.reading.reader import BagReader
+from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
-from flock_sim.recording import CONFIGURATION_RECORD, FACTOR, FREE_RECORD, configuration_of
-
-ARRAYS = ("position", "speed", "circulation", "interaction_drag")
-"""The fields of a state that have one value a member, in the order of the message."""
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.epochs import in_order
+from flock_sim.messages.types import ARRAYS
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.recording.flight_bag import checked_push
+from flock_sim.recording.flight_writer import (
+    CONFIGURATION_RECORD,
+    FACTOR,
+    FREE_RECORD,
+    configuration_of,
+)
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -41,8 +48,8 @@ class Snapshot:
 class Run:
     """A bag of Flock's.
 
-    `configuration` is what was flown; `missing` is None, or one line on what the bag lacks; `bag`
-    gives the messages themselves.
+    `configuration` is that of the flight; `missing` is None, or one line on the missing parts of
+    the bag; `bag` gives the messages themselves.
 
         with Run("runs/demo") as run:
             print(run.at().speed)
@@ -56,15 +63,18 @@ class Run:
             self.configuration = configuration_of(self.bag.metadata(CONFIGURATION_RECORD))
         except (KeyError, ValueError, FlockError) as error:
             self.bag.close()
+            torn = self.bag.missing and not self.bag.topics
+            why = "it is torn off or damaged within its beginning, which says what is in it"
             raise FlockError(
-                f"{self.path}: not a bag of Flock's (no configuration that can be read: {error}); "
+                f"{self.path}: not a bag of Flock's "
+                f"({why if torn else f'no configuration that can be read: {error}'}); "
                 "name a directory that fly or reference wrote"
             ) from error
 
         self.missing = self.bag.missing or self._cut_short()
 
     def _cut_short(self) -> str | None:
-        """Return what a flight that was ended before its time lacks, though its bag is whole."""
+        """Return a line on a flight that ended early with a whole bag; None if it is complete."""
         flown = self.configuration
         last = flown.steps - flown.steps % flown.record_every
         reached = self._reached(flown.stamp(last))
@@ -74,9 +84,9 @@ class Run:
         return f"{self.path}: the flight was ended at t = {time:.6g} of {flown.t_max:g}"
 
     def _reached(self, end: int) -> int | None:
-        """Return the simulated time, in ns, that was flown to; `end` is where flights end.
+        """Return the simulated time, in ns, that the flight reached; `end` is that of its end.
 
-        Pushes are recorded ahead of it.
+        Pushes may have been recorded with later times.
         """
         counts = self.bag.message_counts
         if not counts or not counts.get(topics.PERTURBATION_TOPIC):
@@ -86,7 +96,7 @@ class Run:
             if next(self.bag.messages(clock, start=end), None):
                 return end
             return max((time for _, time, _ in self.bag.messages(clock)), default=None)
-        except FlockError:  # who reads on will hear of it
+        except FlockError:  # a later read raises it again
             return self.bag.last_time
 
     def close(self) -> None:
@@ -101,9 +111,9 @@ class Run:
 
     @property
     def real_time_factor(self) -> float:
-        """How much faster than real time it was flown freely; 0 where it was flown in lockstep.
+        """The real-time factor of a free flight; 0 for a flight in lockstep.
 
-        Raises FlockError where that can't be read.
+        Raises FlockError if it can't be read.
         """
         if topics.ages_topic(1) not in self.bag.topics:
             return 0.0
@@ -116,9 +126,9 @@ class Run:
             ) from error
 
     def ages(self) -> Iterator[tuple[int, messages.Ages]]:
-        """Yield (bird, ages of what it knew) in the order of the bag; nothing if not flown freely.
+        """Yield (bird, ages of its data) in the order of the bag; nothing if not flown freely.
 
-        Raises FlockError where there are not as many as it has neighbours.
+        Raises FlockError if the number of ages is not the number of neighbours of the bird.
         """
         flown = self.configuration
         bird_of = {topics.ages_topic(bird): bird for bird in range(1, flown.birds + 1)}
@@ -139,7 +149,7 @@ class Run:
             yield bird_of[topic], self.decode(topic, data)
 
     def decode(self, topic: str, data: bytes) -> messages.State:
-        """Return a state of this bag. Raises FlockError where it is none."""
+        """Return the state in `data` of this bag. Raises FlockError if it is not a state."""
         return self._decode(messages.State, topic, data)
 
     def _decode(self, kind: type[Message], topic: str, data: bytes) -> Message:
@@ -151,7 +161,7 @@ class Run:
             ) from error
 
     def wings(self) -> dict[int, FloatArray]:
-        """Return the span ratios of each bird, shape (members,), as its wing told them."""
+        """Return the span ratios of each bird, shape (members,), from its wing message."""
         birds = range(1, self.configuration.birds + 1)
         bird_of = {topics.wing_topic(bird): bird for bird in birds}
         found = self.bag.messages(topics=list(bird_of), end=1)
@@ -161,25 +171,25 @@ class Run:
         }
 
     def perturbations(self) -> list[Perturbation]:
-        """Return what was asked for in flight, besides the configuration's, in order of number.
+        """Return the perturbations requested in flight, in order of number.
 
-        Raises FlockError where it can't be flown, or two have one number.
+        Those of the configuration are not included. Raises FlockError if one does not fit the
+        flight, or two different ones have the same number.
         """
-        flown, topic = self.configuration, topics.PERTURBATION_TOPIC
-        found: dict[int, Perturbation] = {}
-        for _, _, data in self.bag.messages([topic]):
-            message = self._decode(messages.Push, topic, data)
-            push = message.perturbation
+        members = self.configuration.members
+        found: dict[int, list[Perturbation]] = {}
+        for _, _, data in self.bag.messages([topics.PERTURBATION_TOPIC]):
             try:
-                push.check(flown.birds, flown.members, flown.steps)
+                message = checked_push(data, self.configuration)
             except FlockError as error:
-                raise FlockError(f"{self.path}: {error}; take another copy of the bag") from error
-            if found.setdefault(message.number, push) != push:
+                raise FlockError(f"{self.path}: {error}; leave it out by ./flock repair") from error
+            number, pushes = message.number, message.each(members)
+            if found.setdefault(number, pushes) != pushes:
                 raise FlockError(
-                    f"{self.path}: perturbation {message.number} is both '{found[message.number]}' "
-                    f"and '{push}'; take another copy of the bag"
+                    f"{self.path}: perturbation {number} is both '{found[number][0]}' and "
+                    f"'{pushes[0]}'; leave the second one out by ./flock repair"
                 )
-        return [found[number] for number in sorted(found)]
+        return [push for number in in_order(found) for push in found[number]]
 
     def snapshots(self, start: int | None = None) -> Iterator[Snapshot]:
         """Yield every complete recorded step, from simulated time `start` in ns."""
@@ -193,9 +203,9 @@ class Run:
                 row = {}
 
     def at(self, time: float | None = None) -> Snapshot:
-        """Return the flock at `time` in b / U_min; the last recorded step where None.
+        """Return the flock at `time` in b / U_min; at the last recorded step if None.
 
-        Raises FlockError where nothing was recorded at that time.
+        Raises FlockError if no step was recorded at this time.
         """
         configuration = self.configuration
         if time is None:
@@ -214,7 +224,7 @@ class Run:
         raise FlockError(f"time {time:g}: not recorded; multiples of {every:g} up to {last:g} are")
 
     def metrics(self, time: float | None = None) -> Metrics:
-        """Return the metrics at `time` in b / U_min; at the last recorded step where None."""
+        """Return the metrics at `time` in b / U_min; at the last recorded step if None."""
         snapshot = self.at(time)
         return measure(
             self.configuration,
@@ -225,7 +235,7 @@ class Run:
         )
 
     def _last(self) -> Snapshot:
-        """Return the last complete row: the last or, in a bag cut short, the last but a few."""
+        """Return the last complete row; in a bag that was cut short, a few rows may follow it."""
         end = self.bag.last_time
         back, more = 0, self.configuration.stamp(64 * self.configuration.record_every) + 1
         while end is not None:

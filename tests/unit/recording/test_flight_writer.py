@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight's bag holds whole rows, and is gone on with behind the last one on disk."""
+"""A flight's bag has whole rows, and is resumed behind the last one on disk."""
 
 import os
 import random
@@ -16,23 +16,24 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.highlevel import AnyReader
 
-from flock_sim import recording as recording_module
-from flock_sim.bag.reader import BagReader
-from flock_sim.bag.writer import BagWriter
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Row
-from flock_sim.core.messages import Grant, Stage
-from flock_sim.core.monolith import Monolith
+from flock_sim.bag.reading.reader import BagReader
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.commands.reference import row as row_of
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.recording import Recording, has_stages, lay_down, recording
-from flock_sim.reference import row as row_of
-from flock_sim.run import Run
-from unit.flights import record
+from flock_sim.messages import topics
+from flock_sim.messages.types import Grant, Stage
+from flock_sim.recording import flight_writer as recording_module
+from flock_sim.recording.flight_bag import has_stages
+from flock_sim.recording.flight_writer import Recording, lay_down, recording
+from flock_sim.recording.row_assembler import Row
+from flock_sim.recording.run import Run
+from flock_sim.reference.integrator import Reference
+from support.flights import record
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=60.0, record_every=2, span_ratios=("2=1,1.05",))
 BIRDS = range(1, CONFIGURATION.birds + 1)
-ROWS = [row_of(CONFIGURATION, recorded) for recorded in Monolith(CONFIGURATION).fly()]
+ROWS = [row_of(CONFIGURATION, recorded) for recorded in Reference(CONFIGURATION).fly()]
 STATES = [(row.step, bird, data) for row in ROWS for bird, data in enumerate(row.states, start=1)]
 
 
@@ -165,6 +166,7 @@ def states_of_torn(path: Path) -> list[tuple[int, str, bytes]]:
         ]
 
 
+@pytest.mark.slow
 def test_a_flight_cut_off_anywhere_is_gone_on_with_and_no_bit_differs(
     tmp_path: Path, small_chunks: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -401,14 +403,14 @@ def test_a_recorder_that_is_killed_again_and_again_records_the_whole_flight(
         """
         import sys
         from pathlib import Path
-        from flock_sim.core.configuration import FlockConfiguration
-        from flock_sim.core.monolith import Monolith
-        from flock_sim.recording import recording
-        from flock_sim.reference import row
+        from flock_sim.configuration.flock_configuration import FlockConfiguration
+        from flock_sim.reference.integrator import Reference
+        from flock_sim.recording.flight_writer import recording
+        from flock_sim.commands.reference import row
         flown = FlockConfiguration(birds=2, t_max=5000.0, record_every=1)
         with recording(Path(sys.argv[1]), flown, grants=True, resume=True) as run:
             print(run.saved, flush=True)
-            for recorded in Monolith(flown).fly():
+            for recorded in Reference(flown).fly():
                 if recorded.step > run.saved:
                     run.write_row(row(flown, recorded))
                     if recorded.step % 7 == 0:
@@ -441,7 +443,7 @@ def test_a_recorder_that_is_killed_again_and_again_records_the_whole_flight(
     whole = FlockConfiguration(birds=2, t_max=5000.0, record_every=1)
     expected = [
         (recorded.step, bird, data)
-        for recorded in Monolith(whole).fly()
+        for recorded in Reference(whole).fly()
         for bird, data in enumerate(row_of(whole, recorded).states, start=1)
     ]
     assert states_of(recording_in(bag)) == expected

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights over link models: distributed as in one loop, and as the theory of them says.
+"""Flights over link models: the distributed flight equals one loop, and agrees with theory.
 
-Deaths and rewinds are in test_recovery, orders and duplicates in test_protocol_network too.
+test_recovery tests kills and rewinds, too; test_network tests orders and duplicates.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from random import Random
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.monolith import Monolith, Recorded
-from unit.network import Kind, Network, expected_states
-from unit.random_links import random_links
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.reference.integrator import Recorded, Reference
+from support.network import Kind, Network, expected_states
+from support.random_links import random_links
 
 ALL_FAULTS = (
     "delay=2/0/5,jitter=3,drop=0.3/0.1/0.8,position_noise=0.02,speed_noise=0/0.001/0,"
@@ -35,7 +35,7 @@ def states(network: Network) -> dict[int, list[bytes]]:
 
 
 def last(configuration: FlockConfiguration) -> Recorded:
-    return list(Monolith(configuration).fly())[-1]
+    return list(Reference(configuration).fly())[-1]
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
@@ -72,8 +72,8 @@ def test_any_mix_of_links_is_that_of_the_monolith_to_the_bit():
 def test_links_that_are_exact_and_faultless_change_no_bit_and_have_no_memory():
     plain = FlockConfiguration(birds=5, t_max=50.0)
     said = FlockConfiguration(birds=5, t_max=50.0, links=("hold", "exact:seed=3", "2->3=exact"))
-    assert said.linkage.plain
-    assert not said.linkage.memory_ends.any()
+    assert said.link_table.plain
+    assert not said.link_table.memory_ends.any()
     assert expected_states(said) == expected_states(plain)
 
 
@@ -152,7 +152,7 @@ def test_birds_that_hear_nothing_fly_alone():
 
 def test_a_flight_looked_at_on_the_way_is_the_same():
     configuration = FlockConfiguration(birds=3, t_max=50.0, links=("linear:interval=3,jitter=4",))
-    watched, unwatched = Monolith(configuration), Monolith(configuration)
+    watched, unwatched = Reference(configuration), Reference(configuration)
     for _ in range(50):
         watched.observe()
         watched.advance(1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows leave the ledger in order, each once and whole, however their messages came."""
+"""The assembler emits whole rows in order, each once, for any order of messages."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.messages import Memory, State, Time
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_inbox import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.core.stage_message import HEADER, stage_bytes, stage_words
-from flock_sim.reference import row
+from flock_sim.commands.reference import row
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.stage_layout import HEADER, stage_bytes, stage_words
+from flock_sim.messages.types import Memory, State, Time
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.recording.row_assembler import Row, RowAssembler
+from flock_sim.reference.integrator import Reference
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=11.0, record_every=4)
 BIRDS = range(1, 4)
@@ -40,16 +40,16 @@ def sent_in(state: bytes, run_id: int, epoch: int) -> bytes:
     return replace(State.decode(state), run_id=run_id, epoch=epoch).encode()
 
 
-def new_ledger(stages: bool = False, saved: int = -1) -> Ledger:
-    ledger = Ledger(CONFIGURATION, stages, saved)
-    ledger.begin(RUN, EPOCH)
-    return ledger
+def new_ledger(stages: bool = False, saved: int = -1) -> RowAssembler:
+    assembler = RowAssembler(CONFIGURATION, stages, saved)
+    assembler.begin(RUN, EPOCH)
+    return assembler
 
 
 def letters(stages: bool) -> list[Letter]:
     """Everything that a flight sends to its recorder."""
     sent: list[Letter] = []
-    for recorded in Monolith(CONFIGURATION).fly():
+    for recorded in Reference(CONFIGURATION).fly():
         of = row(CONFIGURATION, recorded)
         sent += [("wing", bird, data) for bird, data in enumerate(of.wings, start=1)]
         sent += [
@@ -63,19 +63,19 @@ def letters(stages: bool) -> list[Letter]:
     return sent
 
 
-def give(ledger: Ledger, letter: Letter) -> list[Row]:
+def give(assembler: RowAssembler, letter: Letter) -> list[Row]:
     kind, bird, data = letter
     if kind == "time":
-        return ledger.add_time(data)
-    return {"wing": ledger.add_wing, "state": ledger.add_state, "stage": ledger.add_stage}[kind](
-        bird, data
-    )
+        return assembler.add_time(data)
+    return {"wing": assembler.add_wing, "state": assembler.add_state, "stage": assembler.add_stage}[
+        kind
+    ](bird, data)
 
 
 def expected(stages: bool) -> list[Row]:
     sent = letters(stages)
     rows = []
-    for number, recorded in enumerate(Monolith(CONFIGURATION).fly()):
+    for number, recorded in enumerate(Reference(CONFIGURATION).fly()):
         of = row(CONFIGURATION, recorded)
         ticks = range(STAGES * (recorded.step - 4), STAGES * recorded.step) if number else ()
         kept = [(b, stage(b, *divmod(tick, STAGES))) for tick in ticks for b in BIRDS]
@@ -93,11 +93,11 @@ def test_rows_leave_in_order_whole_and_once_whatever_order_messages_come_in(
     sent = letters(stages)
     sent += random.choices(sent, k=again)
     random.shuffle(sent)
-    ledger = new_ledger(stages)
-    rows = [out for letter in sent for out in give(ledger, letter)]
+    assembler = new_ledger(stages)
+    rows = [out for letter in sent for out in give(assembler, letter)]
     assert rows == expected(stages)
-    assert ledger.complete
-    assert ledger.saved == 8
+    assert assembler.complete
+    assert assembler.saved == 8
 
 
 @pytest.mark.parametrize("stages", [False, True])
@@ -105,13 +105,13 @@ def test_a_row_waits_for_the_last_of_its_messages(stages: bool) -> None:
     sent = letters(stages)
     due = [letter for letter in sent if letter[0] != "stage" or letter[2] in stages_due()]
     for held in due:
-        ledger = new_ledger(stages)
-        before = [out for letter in sent if letter is not held for out in give(ledger, letter)]
+        assembler = new_ledger(stages)
+        before = [out for letter in sent if letter is not held for out in give(assembler, letter)]
         assert len(before) < len(STEPS), held
-        assert not ledger.complete
-        after = give(ledger, held)
+        assert not assembler.complete
+        after = give(assembler, held)
         assert before + after == expected(stages)
-        assert ledger.complete
+        assert assembler.complete
 
 
 def stages_due() -> set[bytes]:
@@ -120,72 +120,72 @@ def stages_due() -> set[bytes]:
 
 
 def test_what_is_saved_is_the_last_row_that_left() -> None:
-    ledger = new_ledger()
-    assert (ledger.saved, ledger.waiting_for) == (-1, [1, 2, 3])
+    assembler = new_ledger()
+    assert (assembler.saved, assembler.waiting_for) == (-1, [1, 2, 3])
     saved = []
     for letter in letters(stages=False):
-        give(ledger, letter)
-        saved.append(ledger.saved)
+        give(assembler, letter)
+        saved.append(assembler.saved)
     assert sorted(set(saved)) == [-1, 0, 4, 8]
     assert saved == sorted(saved)
 
 
 def test_the_birds_that_are_waited_for_are_those_whose_state_or_wing_is_missing() -> None:
-    ledger = new_ledger()
+    assembler = new_ledger()
     sent = letters(stages=False)
     for letter in sent:
         if letter[:2] not in (("wing", 2), ("state", 3)):
-            give(ledger, letter)
-    assert ledger.waiting_for == [2, 3]
+            give(assembler, letter)
+    assert assembler.waiting_for == [2, 3]
 
 
 def test_what_is_not_due_is_counted_and_left_out() -> None:
-    ledger = new_ledger()
+    assembler = new_ledger()
     sent = letters(stages=False)
-    rows = [out for letter in sent for out in give(ledger, letter)]
-    assert ledger.ignored == 0
+    rows = [out for letter in sent for out in give(assembler, letter)]
+    assert assembler.ignored == 0
     for letter in sent:
-        assert give(ledger, letter) == []
-    assert ledger.ignored == 3 * 3 + 3  # wings are latched, and no news
-    ledger.add_time(Time.at(CONFIGURATION.stamp(2)).encode())  # no recorded step
-    ledger.add_time(Time.at(CONFIGURATION.stamp(4) + 1).encode())  # not its time to the ns
-    assert ledger.ignored == 14
+        assert give(assembler, letter) == []
+    assert assembler.ignored == 3 * 3 + 3  # wings are latched, and no news
+    assembler.add_time(Time.at(CONFIGURATION.stamp(2)).encode())  # no recorded step
+    assembler.add_time(Time.at(CONFIGURATION.stamp(4) + 1).encode())  # not its time to the ns
+    assert assembler.ignored == 14
     assert rows == expected(stages=False)
 
 
 def test_a_first_wing_is_not_replaced() -> None:
-    ledger = new_ledger()
+    assembler = new_ledger()
     for bird in BIRDS:
-        ledger.add_wing(bird, b"first")
-        ledger.add_wing(bird, b"second")
-    rows = [out for k in letters(stages=False) if k[0] != "wing" for out in give(ledger, k)]
+        assembler.add_wing(bird, b"first")
+        assembler.add_wing(bird, b"second")
+    rows = [out for k in letters(stages=False) if k[0] != "wing" for out in give(assembler, k)]
     assert rows[0].wings == [b"first"] * 3
 
 
 def test_memory_does_not_grow_with_the_flight() -> None:
     configuration = FlockConfiguration(birds=3, t_max=2000.0, record_every=1)
-    ledger = Ledger(configuration)
-    ledger.begin(RUN, EPOCH)
-    for recorded in Monolith(configuration).fly():
+    assembler = RowAssembler(configuration)
+    assembler.begin(RUN, EPOCH)
+    for recorded in Reference(configuration).fly():
         of = row(configuration, recorded)
         for bird in BIRDS:
             if of.wings:
-                ledger.add_wing(bird, of.wings[bird - 1])
-            ledger.add_state(bird, sent_in(of.states[bird - 1], RUN, EPOCH))
-        assert len(ledger.add_time(of.time)) == 1
-        assert len(ledger._rows) <= 1
+                assembler.add_wing(bird, of.wings[bird - 1])
+            assembler.add_state(bird, sent_in(of.states[bird - 1], RUN, EPOCH))
+        assert len(assembler.add_time(of.time)) == 1
+        assert len(assembler._rows) <= 1
 
 
 def test_a_first_state_is_not_replaced_while_its_row_is_incomplete() -> None:
-    ledger = new_ledger()
+    assembler = new_ledger()
     sent = letters(stages=False)
     states = [data for kind, bird, data in sent if (kind, bird) == ("state", 1)]
-    ledger.add_state(1, states[0])
+    assembler.add_state(1, states[0])
     other = bytearray(states[0])
     other[-40] ^= 1  # a digit, and neither run nor epoch
-    assert ledger.add_state(1, bytes(other)) == []
-    assert ledger.ignored == 1
-    rows = [out for letter in sent for out in give(ledger, letter)]
+    assert assembler.add_state(1, bytes(other)) == []
+    assert assembler.ignored == 1
+    rows = [out for letter in sent for out in give(assembler, letter)]
     assert rows == expected(stages=False)
 
 
@@ -196,17 +196,17 @@ def test_a_new_epoch_takes_nothing_of_the_old_one(
 ) -> None:
     # Whatever had come of the rows that are not complete comes again, and only that counts.
     random = Random(seed)
-    ledger = new_ledger(stages)
+    assembler = new_ledger(stages)
     sent = letters(stages)
     random.shuffle(sent)
-    rows = [out for letter in sent[:cut] for out in give(ledger, letter)]
+    rows = [out for letter in sent[:cut] for out in give(assembler, letter)]
     old = [letter for letter in sent if letter[0] in ("state", "stage")]
-    if saved and rows:  # the recorder died too: what had left the ledger is on disk
-        ledger = Ledger(CONFIGURATION, stages, rows[-1].step)
-    ledger.begin(RUN, EPOCH + 1)
+    if saved and rows:  # the recorder died too: what had left the assembler is on disk
+        assembler = RowAssembler(CONFIGURATION, stages, rows[-1].step)
+    assembler.begin(RUN, EPOCH + 1)
     for letter in random.sample(old, k=min(5, len(old))):
-        assert give(ledger, letter) == []
-    assert ledger.ignored_for[STALE] == min(5, len(old))
+        assert give(assembler, letter) == []
+    assert assembler.ignored_for[STALE] == min(5, len(old))
     new = []
     for kind, bird, data in letters(stages):
         fresh = bytearray(data)
@@ -216,43 +216,43 @@ def test_a_new_epoch_takes_nothing_of_the_old_one(
             struct.pack_into("<I", fresh, 20, EPOCH + 1)
         new.append((kind, bird, bytes(fresh)))
     random.shuffle(new)
-    rows += [out for letter in new for out in give(ledger, letter)]
+    rows += [out for letter in new for out in give(assembler, letter)]
     assert [(row.step, row.time, row.states) for row in rows] == [
         (row.step, row.time, row.states) for row in expected(stages)
     ]
     assert rows[0].wings == expected(stages)[0].wings
-    assert ledger.complete
+    assert assembler.complete
 
 
 def test_a_row_is_of_one_run_and_epoch_and_says_so_no_more() -> None:
-    ledger = new_ledger()
+    assembler = new_ledger()
     (state,) = [k[2] for k in letters(stages=False) if k[:2] == ("state", 1)][:1]
     for run_id, epoch in ((RUN + 1, EPOCH), (0, 0), (RUN, EPOCH - 1), (RUN, EPOCH + 1)):
-        assert ledger.add_state(1, sent_in(state, run_id, epoch)) == []
-    assert ledger.ignored_for == {FOREIGN: 2, STALE: 2}
-    assert ledger.add_state(1, state[:-1]) == ledger.add_state(1, state + b"0") == []
-    assert ledger.ignored_for[MISSHAPEN] == 2
-    assert ledger.waiting_for == [1, 2, 3]
+        assert assembler.add_state(1, sent_in(state, run_id, epoch)) == []
+    assert assembler.ignored_for == {FOREIGN: 2, STALE: 2}
+    assert assembler.add_state(1, state[:-1]) == assembler.add_state(1, state + b"0") == []
+    assert assembler.ignored_for[MISSHAPEN] == 2
+    assert assembler.waiting_for == [1, 2, 3]
 
 
 def test_a_run_that_is_stopped_has_no_rows_beyond() -> None:
-    ledger = new_ledger()
-    ledger.end_at(7)
-    rows = [out for letter in letters(stages=False) for out in give(ledger, letter)]
+    assembler = new_ledger()
+    assembler.end_at(7)
+    rows = [out for letter in letters(stages=False) for out in give(assembler, letter)]
     assert rows == expected(stages=False)[:2]
-    assert ledger.complete
+    assert assembler.complete
 
 
 def test_a_row_is_complete_with_the_memories_of_those_who_have_one() -> None:
     linked = replace(CONFIGURATION, links=("2->3=hold:delay=1",))
-    ledger = Ledger(linked)
-    ledger.begin(RUN, EPOCH)
+    assembler = RowAssembler(linked)
+    assembler.begin(RUN, EPOCH)
     for letter in letters(stages=False):
-        assert give(ledger, letter) == []
-    assert ledger.waiting_for == [3]
+        assert give(assembler, letter) == []
+    assert assembler.waiting_for == [3]
 
     def memory(step: int, run_id: int = RUN, epoch: int = EPOCH, more: int = 0) -> bytes:
-        data = np.zeros(linked.linkage.remembers(3) + more)
+        data = np.zeros(linked.link_table.remembers(3) + more)
         return Memory(run_id, step, epoch, 3, data).encode()
 
     for wrong, reason in (
@@ -261,10 +261,21 @@ def test_a_row_is_complete_with_the_memories_of_those_who_have_one() -> None:
         (memory(0, more=1), MISSHAPEN),
         (memory(1), REPEATED),
     ):
-        before = ledger.ignored_for[reason]
-        assert ledger.add_memory(3, wrong) == []
-        assert ledger.ignored_for[reason] == before + 1
-    rows = [row for step in STEPS for row in ledger.add_memory(3, memory(step))]
+        before = assembler.ignored_for[reason]
+        assert assembler.add_memory(3, wrong) == []
+        assert assembler.ignored_for[reason] == before + 1
+    rows = [row for step in STEPS for row in assembler.add_memory(3, memory(step))]
     assert [row.step for row in rows] == list(STEPS)
     assert [row.memories for row in rows] == [[memory(step)] for step in STEPS]
-    assert ledger.complete
+    assert assembler.complete
+
+
+def test_a_state_whose_arrays_have_other_lengths_is_left_out() -> None:
+    flock = FlockConfiguration(birds=1, t_max=1.0, record_every=1, span_ratios=("1=1.0,1.0",))
+    assembler = RowAssembler(flock)
+    assembler.begin(7, 1)
+    arrays = [np.ones(length) for length in (1, 3, 2, 2)]  # as long as four of two in all
+    wrong = State.at(flock, 0, *arrays, 7, 1).encode()
+    assert len(wrong) == State.lengths(2).size
+    assert assembler.add_state(1, wrong) == []
+    assert assembler.ignored_for == {MISSHAPEN: 1}

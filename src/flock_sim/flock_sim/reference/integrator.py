@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole flock in one loop: what the distributed flight must equal to the last bit."""
+"""The reference: the whole flock in one loop. The distributed flight must equal it bit for bit."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flock import Flock
-from flock_sim.core.flock_step import forces, move
-from flock_sim.core.kernel import FloatArray, kernel
-from flock_sim.core.links.flock_links import FlockLinks
-from flock_sim.core.perturbation import Perturbation, in_order
-from flock_sim.core.runge_kutta import STAGES
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation, in_order
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.compile import kernel
+from flock_sim.physics.flock import Flock
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.reference.flock_kernel import forces, move
+from flock_sim.reference.link_kernels import FlockLinks
 
 RECORDED = 4
-"""Position, speed, circulation and interaction drag: what is recorded of a bird."""
+"""Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,12 @@ class Recorded:
     interaction_drag: FloatArray
 
 
-class Monolith:
+class Reference:
     """A flock that is integrated as one system. `position` and `speed` are (birds, members).
 
-    They are those at the beginning of `step`, after what it is perturbed by there.
+    They are those at the beginning of `step`, after the pushes of this step.
 
-    >>> flock = Monolith(FlockConfiguration(birds=3, t_max=100.0))
+    >>> flock = Reference(FlockConfiguration(birds=3, t_max=100.0))
     >>> states = list(flock.fly())
     >>> states[-1].step
     100
@@ -51,9 +52,9 @@ class Monolith:
         span_ratio: FloatArray | None = None,
         live: Iterable[Perturbation] = (),
     ) -> None:
-        """Place the flock at its start; `span_ratio` (birds, members) replaces the configured.
+        """Place the flock at its start; `span_ratio` (birds, members) replaces the configured one.
 
-        `live` are perturbations besides the configured, and come after these at the same step.
+        `live` are additional perturbations. At the same step they follow the configured ones.
         """
         self.configuration = configuration
         self.flock = Flock.of(configuration, span_ratio)
@@ -62,15 +63,15 @@ class Monolith:
         self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
-        linkage = configuration.linkage
-        self._links = None if linkage.plain else FlockLinks(configuration, members)
+        link_table = configuration.link_table
+        self._links = None if link_table.plain else FlockLinks(configuration, members)
         self._pushes = deque(in_order([*configuration.pushes, *live]))
         for perturbation in self._pushes:
             perturbation.check(birds, members, configuration.steps)
         self._push()
 
     def fly(self, rows: int = 1024) -> Iterator[Recorded]:
-        """Integrate to the end, yielding every recorded state; `rows` at most are held at once."""
+        """Integrate to the end, yielding every recorded state; at most `rows` are held at once."""
         steps, every = self.configuration.steps, self.configuration.record_every
         while True:
             count = min(rows * every, steps - self.step)
@@ -106,7 +107,7 @@ class Monolith:
         return -(-step // self.configuration.record_every)
 
     def _integrate(self, until: int, recorded: FloatArray) -> None:
-        """Take all steps to the beginning of step `until`, before what happens there."""
+        """Take all steps to the beginning of step `until`, before its pushes."""
         flock = self.flock
         if self._links:
             self._links.advance(
@@ -142,7 +143,7 @@ class Monolith:
         self.step = until
 
     def _push(self) -> None:
-        """Perturb the birds as is due at the present step."""
+        """Apply the perturbations of the present step."""
         while self._pushes and self._pushes[0].step == self.step:
             perturbation = self._pushes.popleft()
             row = perturbation.bird - 1
@@ -166,7 +167,7 @@ class Monolith:
                 links,
                 pair_of,
                 faults,
-                memory.copy(),  # what is said now is still to be heard when the flight goes on
+                memory.copy(),  # a copy: the next step receives the present messages
                 circulation,
                 drag,
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a free flight, where it is known what must be said."""
+"""The ages and deviations of a free flight, for flights with known results."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Ages
-from flock_sim.core.monolith import Monolith
-from flock_sim.freshness import deviation, freshness
-from flock_sim.recording import recording
-from flock_sim.reference import row
-from flock_sim.run import Run
-from unit.flights import record
+from flock_sim.commands.reference import row
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.types import Ages
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.message_age import deviation, freshness
+from flock_sim.recording.run import Run
+from flock_sim.reference.integrator import Reference
+from support.flights import record
 
 FLOWN = FlockConfiguration(birds=3, t_max=100.0, record_every=1, span_ratios=("1=1,1.01",))
 NEIGHBOURS = {1: 1, 2: 2, 3: 1}
@@ -33,7 +33,7 @@ def ages(bird: int, step: int) -> bytes:
 def bag(tmp_path: Path) -> Path:
     """A flight in which bird 2 was elsewhere at step 50, and faster at the end, in member 2."""
     with recording(tmp_path / "bag", FLOWN, grants=True, factor=4.0) as run:
-        for recorded in Monolith(FLOWN).fly():
+        for recorded in Reference(FLOWN).fly():
             if recorded.step == 50:
                 recorded.position[1, 1] += 0.5
             if recorded.step == 100:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `claim_output` takes, what it refuses, and that refusing changes nothing."""
+"""Output directories: which are accepted, which are refused, and that refusals change nothing."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-from flock_sim.bag.output import claim_output
 from flock_sim.errors import FlockError
+from flock_sim.recording.output_directory import own_output, remove_bag
 
 
 def tree(root: Path) -> dict[str, bytes | None]:
@@ -25,8 +25,10 @@ def make_bag(directory: Path, *names: str) -> Path:
 
 
 def test_a_new_output_is_made_with_its_parents(tmp_path: Path) -> None:
-    claim_output(tmp_path / "runs" / "today" / "one", force=False)
-    assert tree(tmp_path) == {"runs": None, "runs/today": None, "runs/today/one": None}
+    with own_output(tmp_path / "runs" / "today" / "one", force=False) as output:
+        assert tree(tmp_path) == {"runs": None, "runs/today": None, "runs/today/one": None}
+        assert not output.replaces
+    assert tree(tmp_path) == {"runs": None, "runs/today": None}  # nothing was put into it
 
 
 @pytest.mark.parametrize("names", [(), ("metadata.yaml", "out_0.mcap"), ("thesis.tex",)])
@@ -34,7 +36,7 @@ def test_what_exists_is_refused_without_force(tmp_path: Path, names: tuple[str, 
     output = make_bag(tmp_path / "out", *names)
     before = tree(tmp_path)
     with pytest.raises(FlockError, match=r"out exists: add --force .* or name another --output"):
-        claim_output(output, force=False)
+        own_output(output, force=False)
     assert tree(tmp_path) == before
 
 
@@ -49,9 +51,16 @@ def test_what_exists_is_refused_without_force(tmp_path: Path, names: tuple[str, 
         ("metadata.yaml",),
     ],
 )
-def test_force_empties_a_bag(tmp_path: Path, names: tuple[str, ...]) -> None:
-    claim_output(make_bag(tmp_path / "out", *names), force=True)
-    assert tree(tmp_path) == {"out": None}
+def test_force_takes_a_bag_which_stays_until_it_is_removed(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    bag = make_bag(tmp_path / "out", *names)
+    before = tree(tmp_path)
+    with own_output(bag, force=True) as output:
+        assert output.replaces == (names != ())
+    assert tree(tmp_path) == before
+    remove_bag(bag)
+    assert tree(tmp_path) == {}
 
 
 @pytest.mark.parametrize(
@@ -68,7 +77,7 @@ def test_force_refuses_a_directory_that_is_no_bag(tmp_path: Path, names: tuple[s
     output = make_bag(tmp_path / "out", *names)
     before = tree(tmp_path)
     with pytest.raises(FlockError, match="out is not a bag"):
-        claim_output(output, force=True)
+        own_output(output, force=True)
     assert tree(tmp_path) == before
 
 
@@ -77,7 +86,7 @@ def test_force_refuses_a_bag_with_directories_in_it(tmp_path: Path) -> None:
     make_bag(output / "chapters", "one.tex")
     before = tree(tmp_path)
     with pytest.raises(FlockError, match="out is not a bag"):
-        claim_output(output, force=True)
+        own_output(output, force=True)
     assert tree(tmp_path) == before
 
 
@@ -85,7 +94,7 @@ def test_force_refuses_a_file(tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     output.write_text("dear")
     with pytest.raises(FlockError, match="not a directory"):
-        claim_output(output, force=True)
+        own_output(output, force=True)
     assert output.read_text() == "dear"
 
 
@@ -93,13 +102,13 @@ def test_force_refuses_a_file(tmp_path: Path) -> None:
 def test_an_output_below_a_file_is_refused(tmp_path: Path, force: bool) -> None:
     (tmp_path / "file").write_text("dear")
     with pytest.raises(FlockError, match="can't be written"):
-        claim_output(tmp_path / "file" / "out", force)
+        own_output(tmp_path / "file" / "out", force)
     assert tree(tmp_path) == {"file": b"dear"}
 
 
 def test_an_output_that_fails_halfway_leaves_no_parents(tmp_path: Path) -> None:
     with pytest.raises(FlockError, match="File name too long"):
-        claim_output(tmp_path / "a" / "b" / ("x" * 300), force=False)
+        own_output(tmp_path / "a" / "b" / ("x" * 300), force=False)
     assert tree(tmp_path) == {}
 
 
@@ -113,6 +122,6 @@ def test_an_output_without_permission_is_refused(tmp_path: Path) -> None:
     try:
         for output, force in ((locked / "new", False), (empty, True)):
             with pytest.raises(FlockError, match=r"Permission denied.*name another --output"):
-                claim_output(output, force)
+                own_output(output, force)
     finally:
         locked.chmod(0o755)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rows in a resumed bag: the last one, and gaps before it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from flock_sim.bag.writing.partial_bag import Message, PartialBag
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+
+
+class Found(NamedTuple):
+    """The last whole row of a resumed bag, and its place."""
+
+    chunk: int  # the number of the first chunk in `held`
+    held: list[Message]
+    end: int  # of the row, in `held`, with the grants and pushes that follow it
+    states: list[bytes]
+    memories: list[bytes]
+
+
+class RecordedRows:
+    """Finds rows. If birds have memories, a flight can't resume from a row without them."""
+
+    def __init__(
+        self, begun: PartialBag, configuration: FlockConfiguration, place: Mapping[str, int]
+    ) -> None:
+        """Search the bag `begun`; `place` has the index of each topic, from 0."""
+        self._begun = begun
+        self._configuration = configuration
+        self._place = place
+        birds = range(1, configuration.birds + 1)
+        self._states = [place[topics.state_topic(bird)] for bird in birds]
+        self._remembered = [
+            place[name] for name in map(topics.memory_topic, birds) if name in place
+        ]
+
+    def last_before(self, chunk: int, held: list[Message]) -> Found:
+        """Find the last row in the first `chunk` chunks and the messages `held` after them."""
+        end, states, memories = self._last_row(held)
+        while chunk and not states:
+            chunk -= 1
+            held = self._begun.messages(chunk) + held
+            end, states, memories = self._last_row(held)
+        return Found(chunk, held, end, states, memories)
+
+    def gap(self, last: Found, times: int) -> tuple[int, list[Message]] | None:
+        """Find a missing row before `last`: return the number of the chunk and its beginning.
+
+        Each row has one message on /clock, and the bag has `times` of them. If this number fits the
+        last step, no row is missing, and the result is None.
+        """
+        every, clock = self._configuration.record_every, self._place[topics.CLOCK_TOPIC]
+        times -= sum(place == clock for place, _, _ in last.held[last.end :])
+        if times == (messages.State.step_of(last.states[0]) // every + 1 if last.states else 0):
+            return None
+        step = 0
+        for number in range(len(self._begun.chunks)):
+            held = self._begun.messages(number)
+            for at, (place, time, _) in enumerate(held):
+                if place == clock:
+                    if time != self._configuration.stamp(step):
+                        return number, held[:at]
+                    step += every
+        return None
+
+    def _last_row(self, held: Sequence[Message]) -> tuple[int, list[bytes], list[bytes]]:
+        """Return the end of the last whole row in `held`, its states and its memories.
+
+        The end is after the grants and pushes that follow the row.
+        """
+        places = [*self._states, *self._remembered]
+        birds = len(self._states)
+        order = {place: k for k, place in enumerate(places)}
+        between = {
+            self._place.get(name) for name in (topics.GRANT_TOPIC, topics.PERTURBATION_TOPIC)
+        }
+        end, whole = 0, list[bytes]()
+        row: list[bytes] = []
+        step = -1
+        for at, (place, _, data) in enumerate(held):
+            k = order.get(place)
+            if k is not None:
+                said = (messages.State if k < birds else messages.Memory).step_of(data)
+                if k == 0:
+                    row, step = [], said
+                if k == len(row) and said == step:
+                    row.append(data)
+                if len(row) == len(places):
+                    end, whole, row = at + 1, row, []
+            elif place in between and at == end:
+                end = at + 1
+        return end, whole[:birds], whole[birds:]
