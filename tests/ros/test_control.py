@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight is operated by the services of its clock, and says on /diagnostics how it goes."""
+"""The services of the clock control a flight, and /diagnostics describes its state."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
-from bags import assert_begins_as, assert_equal, last_step
 from flock_interfaces.msg import Grant
 from flock_interfaces.srv import Perturb, Step
-from flock_sim.core import topics
-from flock_sim.core.perturbation import Perturbation
-from flock_sim.run import Run
-from terminal import Job, Terminal
-from visitor import Visitor, values
+from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.messages import topics
+from flock_sim.recording.run import Run
+from support.bags import assert_begins_as, assert_equal, last_step
+from support.terminal import Job, Terminal
+from support.visitor import Visitor, values
 
 STEPS = 30000  # so long that no flight ends before it is asked for something: nobody would answer
 EVERY = 40
@@ -89,13 +89,14 @@ class Watch:
         assert self.grants[-1].step == step
 
 
+@pytest.mark.slow
 def test_a_flock_pauses_goes_on_by_steps_and_flies_on(terminal: Terminal, visitor: Visitor) -> None:
-    # Longer than the timeout, which starting must fit into: 22 reports, one a second.
-    job = in_flight(terminal, "--timeout", 20)
+    # Longer than the timeout, which starting must fit into: 12 reports, one a second.
+    job = in_flight(terminal, "--timeout", 10)
     watch = Watch(visitor)
     paused = step_in(trigger(visitor, "pause"))
     assert paused < STEPS
-    watch.until_paused_at(paused, reports=22)
+    watch.until_paused_at(paused, reports=12)
     for steps in (1, 37):
         answer = visitor.ask(Step, "/flock/clock/step", steps=steps)
         paused += steps
@@ -123,6 +124,8 @@ def test_a_flight_that_is_stopped_is_complete_up_to_there_and_can_be_resumed(
     visitor.until(lambda: grants and grants[-1].step > grants[-1].end)
     end = grants[-1].end
     assert 0 < end < STEPS
+    assert f"note: the flight was ended at step {end} of {STEPS}; fly --resume" in done.stderr
+    assert done.json["last_step"] == end
     terminal.well("reference", *FLOCK, "--output", "reference")
     bag, reference = (terminal.directory / name for name in ("bag", "reference"))
     with Run(bag) as run:
@@ -135,10 +138,11 @@ def test_a_flight_that_is_stopped_is_complete_up_to_there_and_can_be_resumed(
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["undisturbed", "a-bird-killed-after-it"])
+@pytest.mark.slow
 def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
     terminal: Terminal, visitor: Visitor, killed: bool
 ) -> None:
-    job = in_flight(terminal, "--processes", 2)
+    job = in_flight(terminal, "--processes", 1 + killed)
     one = perturb(visitor, bird=2, member=1, step=0, position=0.01, speed=0.0)
     assert one.success, one.message
     assert one.message == f"bird 2 is pushed at step {one.step}"
@@ -153,7 +157,7 @@ def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
     assert both.step == STEPS - 5
     trigger(visitor, "resume")
     if killed:
-        os.kill(job.workers("flock_sim.nodes.bird")[0], signal.SIGKILL)
+        os.kill(job.workers("flock_sim.nodes.bird_process")[0], signal.SIGKILL)
     done = job.wait()
     assert done.status == 0, done.stderr
     assert done.json["restarts"] == killed
@@ -169,6 +173,37 @@ def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
     assert terminal.run("compare", "bag", "unpushed").status == 1
 
 
+def test_pushes_before_and_after_a_kill_of_all_are_flown_by_all_members(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    job = in_flight(terminal)
+    first = perturb(visitor, bird=1, member=0, step=0, position=0.01, speed=0.0)
+    assert first.success, first.message
+    bag = terminal.directory / "bag"
+    job.until(lambda: last_step(bag) > first.step)
+    os.killpg(job.process.pid, signal.SIGKILL)
+    job.wait()
+    job = terminal.start("fly", "--resume", "bag", "--json")
+    begun = last_step(bag)
+    job.until(lambda: last_step(bag) > begun)
+    second = visitor.until(
+        lambda: (
+            answer
+            if (answer := perturb(visitor, bird=2, member=0, step=0, position=0.02)).success
+            else None
+        )
+    )
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    with Run(bag) as run:
+        assert run.perturbations() == [
+            *(Perturbation(first.step, 1, member, 0.01, 0.0) for member in (1, 2)),
+            *(Perturbation(second.step, 2, member, 0.02, 0.0) for member in (1, 2)),
+        ]
+    terminal.well("reference", "--repeat", "bag", "--output", "repeated")
+    assert_equal(terminal, "bag", "repeated", STATES)
+
+
 def test_a_push_that_can_t_be_is_refused_and_disturbs_nothing(
     terminal: Terminal, visitor: Visitor
 ) -> None:
@@ -180,7 +215,7 @@ def test_a_push_that_can_t_be_is_refused_and_disturbs_nothing(
         ({"bird": 0}, "bird 0 is not among 1..2"),
         ({"member": 9}, "member 9 is not among 1..2"),
         ({"step": 1}, "step = 1: must be "),
-        ({"step": STEPS + 1}, f"step {STEPS + 1} is not among 0..{STEPS}"),
+        ({"step": STEPS + 1}, f"and the flight ends at {STEPS}"),
         ({"position": math.nan}, "nan must be finite"),
         ({"speed": math.inf}, "inf must be finite"),
     ):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of the nodes: their names, their quality of service, and who takes their messages."""
+"""The topics of the nodes: their names, their quality of service, and their receivers."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from flock_interfaces.msg import Progress
-from flock_sim.core import messages, topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.timekeeper import Timekeeper
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.rejection import FOREIGN
+from flock_sim.nodes import recorder as recorder_module
 from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.clock import ClockNode
-from flock_sim.nodes.endpoints import DrainedNode, latched
-from flock_sim.nodes.recorder import RecorderNode
-from flock_sim.recording import recording
+from flock_sim.nodes.recorder import LOOK_EVERY, RecorderNode, Source
+from flock_sim.protocol.clock import Timekeeper
+from flock_sim.recording.flight_writer import recording
+from flock_sim.ros.endpoints import DrainedNode, latched
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=10.0)
 BIRDS = ("bird_01", "bird_02", "bird_03")
@@ -136,6 +139,18 @@ def test_a_drained_subscription_is_hidden_from_executors_and_taken_by_hand(
     sender.destroy_node()
 
 
+def test_a_node_without_services_has_no_endpoints_but_its_own(context: Context) -> None:
+    bird = BirdNode(2, CONFIGURATION, context=context, first=None)
+    own = {topics.wing_topic(2), topics.stage_topic(2), topics.state_topic(2)}
+    assert {p.topic_name for p in bird.publishers} == {*own, topics.PROGRESS_TOPIC}
+    known = bird.get_publisher_names_and_types_by_node("bird_02", "/flock")
+    assert {name for name, _ in known} == {*own, topics.PROGRESS_TOPIC}
+    bird.destroy_node()
+    served = DrainedNode("served", context=context)
+    assert "/parameter_events" in {p.topic_name for p in served.publishers}
+    served.destroy_node()
+
+
 def test_queues_are_as_deep_as_what_may_be_under_way() -> None:
     assert topics.depth(topics.state_topic(1), CONFIGURATION) >= 2
     assert topics.depth(topics.wing_topic(1), CONFIGURATION) == 1
@@ -147,7 +162,7 @@ def test_queues_are_as_deep_as_what_may_be_under_way() -> None:
 
 @pytest.mark.parametrize("kind", ["events", "single"])
 def test_an_executor_of_either_kind_destroys_its_nodes(context: Context, kind: str) -> None:
-    from flock_sim.nodes.process import executing
+    from flock_sim.ros.process import executing
 
     with executing(kind, context) as executor:
         node = Node("guest", context=context)
@@ -179,8 +194,10 @@ class Stub:
 
     def __init__(self, *waiting: bytes) -> None:
         self.waiting = list(waiting)
+        self.looks = 0
 
     def take(self) -> bytes | None:
+        self.looks += 1
         return self.waiting.pop(0) if self.waiting else None
 
 
@@ -217,11 +234,98 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
         memory = messages.Memory(8, 0, 1, 1, one).encode()
         states, memories, wings = Stub(state), Stub(memory), Stub(wing)
         recorder._sources = [
-            (states, recorder.ledger.add_state, 1),
-            (memories, recorder.ledger.add_memory, 1),
-            (wings, recorder._hear_wing, 1),
+            Source(states, recorder.assembler.add_state, 1),
+            Source(memories, recorder.assembler.add_memory, 1),
         ]
+        recorder._wings = [Source(wings, recorder._hear_wing, 1)]
         recorder._times = Stub(messages.Time.at(0).encode())
         recorder.drain()
         assert states.waiting == memories.waiting == recorder._times.waiting == []
         assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"
+
+
+class Joined:
+    """The recorder of a flock of three in an epoch that has begun, and stubs for its topics."""
+
+    def __init__(self, recorder: RecorderNode, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.recorder = recorder
+        self.now = 100.0
+        monkeypatch.setattr(recorder_module.time, "monotonic", lambda: self.now)
+        recorder._session.run_id, recorder._session.epoch, recorder._joined = 7, 1, True
+        recorder.assembler.begin(7, 1)
+        one = np.ones(1)
+        self.wings = [Stub(messages.Wing(7, bird, one).encode()) for bird in (1, 2, 3)]
+        self.states = [Stub() for _ in range(3)]
+        recorder._times = self.times = Stub()
+        recorder._grants, recorder._perturbations = Stub(), Stub()
+        recorder._wings = [
+            Source(stub, recorder._hear_wing, bird) for bird, stub in enumerate(self.wings, 1)
+        ]
+        recorder._sources = [
+            Source(stub, recorder.assembler.add_state, bird)
+            for bird, stub in enumerate(self.states, 1)
+        ]
+        recorder.drain()  # the first time, it looks everywhere
+        self.looks()
+
+    def say(self, bird: int, step: int, run_id: int = 7) -> None:
+        one = np.ones(1)
+        state = messages.State.at(CONFIGURATION, step, one, one, one, one, run_id, 1)
+        self.states[bird - 1].waiting.append(state.encode())
+
+    def tell(self, step: int) -> None:
+        self.times.waiting.append(messages.Time.at(CONFIGURATION.stamp(step)).encode())
+
+    def looks(self) -> tuple[list[int], list[int]]:
+        """Return how often each wing and each state was looked for since the last time."""
+        counts = tuple([stub.looks for stub in stubs] for stubs in (self.wings, self.states))
+        for stub in (*self.wings, *self.states):
+            stub.looks = 0
+        return counts
+
+
+@pytest.fixture
+def joined(context: Context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Joined]:
+    with flock(context, tmp_path) as nodes:
+        yield Joined(nodes["recorder"], monkeypatch)
+        monkeypatch.undo()
+
+
+def test_a_recorder_looks_only_for_a_state_that_the_next_row_lacks(joined: Joined) -> None:
+    joined.recorder.drain()
+    assert joined.looks() == ([0, 0, 0], [1, 0, 0])
+    joined.say(1, 0)
+    joined.recorder.drain()  # takes it, and waits for bird 2
+    assert joined.looks() == ([0, 0, 0], [2, 1, 0])
+    joined.recorder.drain()
+    assert joined.looks() == ([0, 0, 0], [0, 1, 0])
+
+
+def test_a_recorder_takes_rows_whatever_the_order_in_which_states_come(joined: Joined) -> None:
+    assembler = joined.recorder.assembler
+    # Bird 2 is ahead by a row; then the others follow, the last one first.
+    for step in (0, 10):
+        joined.tell(step)
+        joined.say(2, step)
+    joined.recorder.drain()
+    for bird in (3, 1):
+        joined.say(bird, 0)
+        joined.recorder.drain()
+    assert assembler.saved == 0
+    for bird in (1, 3):
+        joined.say(bird, 10)
+        joined.recorder.drain()
+    assert assembler.saved == 10
+    assert assembler.complete
+
+
+def test_a_recorder_takes_what_others_say_also_where_nothing_is_due(joined: Joined) -> None:
+    joined.say(3, 0, run_id=8)
+    joined.wings[0].waiting.append(messages.Wing(8, 1, np.ones(1)).encode())
+    joined.recorder.drain()
+    assert joined.states[2].waiting, "bird 1 is waited for"
+    joined.now += LOOK_EVERY
+    joined.recorder.drain()
+    assert not joined.states[2].waiting
+    assert not joined.wings[0].waiting
+    assert joined.recorder.assembler.ignored_for == {FOREIGN: 2}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The example scripts, run as a user does: what they print, worked out in another way."""
+"""The example scripts, run as a user does. Their output is checked against other computations."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flight import acceleration, circulation_at, drag_of_pair
-from flock_sim.core.flock import Flock
-from terminal import Terminal
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics import formation
+from flock_sim.physics.dynamics import acceleration, circulation_at, drag_of_pair
+from flock_sim.physics.flock import Flock
+from support.terminal import Terminal
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -81,6 +81,7 @@ def fading(interval: int, steps: int, memory: float) -> float:
     return float(np.mean(u))
 
 
+@pytest.mark.slow
 def test_the_link_model_is_flown_as_it_is_written(terminal: Terminal) -> None:
     told = said(terminal, "link_model.py")
     assert "equal to the reference to the bit: yes" in told
@@ -89,6 +90,7 @@ def test_the_link_model_is_flown_as_it_is_written(terminal: Terminal) -> None:
     assert numbers(told) == pytest.approx(expected, rel=0, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_the_birds_end_where_all_forces_balance(terminal: Terminal) -> None:
     told = said(terminal, "custom_bird.py")
     wakes = Wakes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""On a leg or landed from it, among forgeries or alone, the same bits are flown."""
+"""The fast path and the normal path, also among forged messages, fly the same bits."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from flock_interfaces.msg import BirdStage
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.leg import FIRST, PUBLISHER, SUBSCRIPTION
-from flock_sim.core.messages import Checkpoint, Grant, Stage, Wing
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.stage_inbox import AGAIN
-from flock_sim.core.stage_message import stage_numbers
-from flock_sim.nodes import exchange
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages.rejection import AGAIN
+from flock_sim.messages.stage_layout import stage_numbers
+from flock_sim.messages.types import Checkpoint, Grant, Stage, Wing
 from flock_sim.nodes.bird import BirdNode
-from flock_sim.nodes.endpoints import latched
-from flock_sim.nodes.process import executing
-from flock_sim.testing import fly_in_process, ros_alone
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.fast_path import FIRST, PUBLISHER, SUBSCRIPTION
+from flock_sim.reference.integrator import Reference
+from flock_sim.ros import compiled_exchange
+from flock_sim.ros.endpoints import latched
+from flock_sim.ros.process import executing
+from flock_tools.testing import fly, ros_alone
 
 FLOCK = {
     "birds": 4,
@@ -37,21 +37,21 @@ CONFIGURATION = FlockConfiguration.from_parameters(FLOCK)
 
 
 class Observed(BirdNode):
-    """A bird that counts what comes of its legs."""
+    """A bird that counts what comes of its exchange."""
 
     outcomes: ClassVar[Counter[int]] = Counter()
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        assert self._legs is not None
-        go_on = self._legs.go_on
+        assert self._exchange is not None
+        go_on = self._exchange.go_on
 
         def counted() -> int:
             outcome = go_on()
             Observed.outcomes[outcome] += 1
             return outcome
 
-        self._legs.go_on = counted  # type: ignore[method-assign]
+        self._exchange.go_on = counted  # type: ignore[method-assign]
 
 
 class Landing(Observed):
@@ -66,27 +66,27 @@ class Landing(Observed):
 
 
 class Mute(Observed):
-    """A bird whose legs have nothing to send by."""
+    """A bird whose fast path has nothing to send by."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._legs._words[PUBLISHER] = 0  # type: ignore[union-attr]
+        self._exchange._words[PUBLISHER] = 0  # type: ignore[union-attr]
 
 
 class Deaf(Observed):
-    """A bird whose legs have nothing to take by."""
+    """A bird whose fast path has nothing to take by."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._legs._words[FIRST + SUBSCRIPTION] = 0  # type: ignore[union-attr]
+        self._exchange._words[FIRST + SUBSCRIPTION] = 0  # type: ignore[union-attr]
 
 
 class Legless(BirdNode):
-    """A bird that makes sure that it has no legs."""
+    """A bird that makes sure that it has no exchange."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        assert self._legs is None
+        assert self._exchange is None
 
 
 class Forging(Observed):
@@ -112,8 +112,8 @@ class Forging(Observed):
 
     def forge(self) -> None:
         """Say in the name of another bird what is wrong in one thing, and awaited but for that."""
-        run_id, epoch = self._protocol.run_id, self._protocol._epoch
-        step, number = divmod(self._legs._leg.tick, STAGES)  # type: ignore[union-attr]
+        run_id, epoch = self._protocol._now
+        step, number = divmod(self._exchange._path.tick, STAGES)  # type: ignore[union-attr]
         other = self.random.choice(self.names)
         one = np.ones(CONFIGURATION.members)
         three, long = (one, one, one), (one, one, np.append(one, 1.0))
@@ -155,8 +155,8 @@ def begin(bird: BirdNode) -> None:
 
 def assert_flies_as_the_reference(kind: type[BirdNode]) -> None:
     Observed.outcomes.clear()
-    flown = fly_in_process(bird=kind, **FLOCK)
-    rows = list(Monolith(CONFIGURATION).fly())
+    flown = fly(bird=kind, **FLOCK)
+    rows = list(Reference(CONFIGURATION).fly())
     assert len(rows) == len(flown.time)
     for name in ("position", "speed", "circulation"):
         expected = np.stack([getattr(row, name) for row in rows])
@@ -165,25 +165,30 @@ def assert_flies_as_the_reference(kind: type[BirdNode]) -> None:
 
 def test_birds_fly_by_legs() -> None:
     assert_flies_as_the_reference(Observed)
-    assert Observed.outcomes[exchange.MOVED] > STAGES * CONFIGURATION.steps
-    assert Observed.outcomes[exchange.OVER] >= CONFIGURATION.birds * CONFIGURATION.steps // 10
-    assert not Observed.outcomes.keys() & {exchange.STRANGE, exchange.FAILED}
+    assert Observed.outcomes[compiled_exchange.MOVED] > STAGES * CONFIGURATION.steps
+    assert (
+        Observed.outcomes[compiled_exchange.OVER] >= CONFIGURATION.birds * CONFIGURATION.steps // 10
+    )
+    assert not Observed.outcomes.keys() & {compiled_exchange.STRANGE, compiled_exchange.FAILED}
 
 
 def test_who_is_asked_on_a_leg_lands_and_goes_on() -> None:
     assert_flies_as_the_reference(Landing)
-    assert Observed.outcomes[exchange.MOVED] > 0
+    assert Observed.outcomes[compiled_exchange.MOVED] > 0
 
 
 @pytest.mark.parametrize("broken", [Mute, Deaf])
 def test_what_compiled_code_cannot_do_is_left_to_rclpy(broken: type[Observed]) -> None:
     assert_flies_as_the_reference(broken)
-    assert not Observed.outcomes[exchange.MOVED]
-    assert Observed.outcomes[exchange.OVER if broken is Mute else exchange.FAILED] > 0
+    assert not Observed.outcomes[compiled_exchange.MOVED]
+    assert (
+        Observed.outcomes[compiled_exchange.OVER if broken is Mute else compiled_exchange.FAILED]
+        > 0
+    )
 
 
 def test_where_ros_lacks_what_legs_need_birds_fly_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exchange, "available", lambda: False)
+    monkeypatch.setattr(compiled_exchange, "available", lambda: False)
     assert_flies_as_the_reference(Legless)
 
 
@@ -197,7 +202,7 @@ def test_forged_stages_are_counted_each_and_change_no_bit() -> None:
     assert counted == Forging.sent
     assert min(counted.values()) > 5
     assert len(counted) == 5
-    assert Observed.outcomes[exchange.STRANGE] > 0
+    assert Observed.outcomes[compiled_exchange.STRANGE] > 0
 
 
 def test_who_waits_on_a_leg_hears_out_those_who_have_spoken() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages that are made from the tools and the messages say what these say today."""
+"""The generated pages on tools and messages are up to date."""
 
 import subprocess
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flock on several hosts: birds, clock and recorder find each other over a network, or do not."""
+"""A flock on several hosts: discovery over a network, and the failures of discovery."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from flock_sim.discovery import TRANSPORTS
-from hosts import Host, Traffic, Weather, joined_hosts, unavailable
-from terminal import Job, Terminal
+from flock_sim.ros.discovery import TRANSPORTS
+from support.hosts import Host, Traffic, Weather, joined_hosts, unavailable
+from support.terminal import Job, Terminal
 
 STEPS = 20
 
@@ -161,6 +161,7 @@ def test_a_discovery_server_brings_hosts_together_without_multicast(
         fly_as_the_reference(travellers, hosts, birds=2)
 
 
+@pytest.mark.slow
 def test_no_other_host_hears_of_a_flock_that_was_not_told_to_use_the_network(
     travellers: Terminal, join: Join
 ) -> None:

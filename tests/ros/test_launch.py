@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights by `ros2 launch`, where it is installed: the wheels do not have it."""
+"""Flights by `ros2 launch`, if it is installed: the wheels do not contain it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from flock_sim.launch_arguments import ARGUMENTS, PROCESSES
-from terminal import Job, Terminal, own_domain
+from flock_sim.launcher.ros2_launch_arguments import ARGUMENTS, PROCESSES
+from support.terminal import Job, Terminal, own_domain
 
 pytest.importorskip("ros2launch", reason="ros2 launch is not installed")
 pytest.importorskip("launch_ros", reason="launch_ros is not installed")
@@ -75,7 +75,7 @@ def flight_of_one(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A flight whose three nodes are there, and of which nothing runs."""
     from launch import LaunchContext
 
-    from flock_sim.launch_nodes import Flight
+    from flock_sim.launcher.ros2_launch_nodes import Flight
 
     context = LaunchContext(argv=["birds:=1"])
     context.launch_configurations.update({name: given for name, (given, _) in ARGUMENTS.items()})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flock's own CDR is that of ROS 2, to the bit, both ways."""
+"""Flock's own CDR code and that of ROS 2 agree bit for bit, in both directions."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from flock_interfaces.msg import (
     Perturbation,
     Progress,
 )
-from flock_sim.core import messages
-from flock_sim.core.stage_message import stage_bytes, stage_header, stage_numbers, stage_words
+from flock_sim.messages import types as messages
+from flock_sim.messages.stage_layout import stage_bytes, stage_header, stage_numbers, stage_words
 
 KINDS = {
     "Q": st.integers(0, 2**64 - 1),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node tells what it was given to whoever asks, at rest and in flight."""
+"""Other nodes can read a node's parameters, at rest and in flight."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from flock_sim.core.configuration import MEANING, FlockConfiguration
-from flock_sim.nodes.endpoints import latched
-from flock_sim.nodes.parameters import OPERATION_MEANING, declare, descriptor
-from flock_sim.nodes.process import OPERATION, ros_context
-from terminal import Terminal
-from visitor import tell_fast_dds
+from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
+from flock_sim.configuration.operation import OPERATION, OPERATION_MEANING
+from flock_sim.ros.endpoints import latched
+from flock_sim.ros.parameters import declare, descriptor
+from flock_sim.ros.process import ros_context
+from support.terminal import Terminal
+from support.visitor import tell_fast_dds
 
 DEADLINE = 60.0
 """Time, in s, within which a node must answer."""

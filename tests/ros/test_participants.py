@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process has one DDS participant, and leaves it without being caught in it."""
+"""A process has one DDS participant, and leaves it without a deadlock."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from flock_sim.nodes import departure
-from flock_sim.nodes.departure import stop_discovery
-from flock_sim.nodes.process import Process, executing, ros_context, run_node
-from terminal import own_domain, ports, shared_memory, sockets
-from visitor import tell_fast_dds
+from flock_sim.ros import fastdds_shutdown
+from flock_sim.ros.fastdds_shutdown import stop_discovery
+from flock_sim.ros.process import Process, executing, ros_context, run_node
+from flock_sim.ros.settings_check import shared_memory, udp_sockets
+from support.terminal import own_domain, ports
+from support.visitor import tell_fast_dds
 
 DEADLINE = 60.0
 """Time, in s, in which two nodes find each other."""
@@ -71,7 +72,9 @@ def test_an_executor_leaves_before_its_nodes_end(
             order.append("node")
             super().destroy_node()
 
-    monkeypatch.setattr(departure, "stop_discovery", lambda context: order.append("discovery"))
+    monkeypatch.setattr(
+        fastdds_shutdown, "stop_discovery", lambda context: order.append("discovery")
+    )
     with executing("events", context) as executor:
         for name in ("one", "two"):
             executor.add_node(Watched(name, context=context))
@@ -81,10 +84,36 @@ def test_an_executor_leaves_before_its_nodes_end(
 def test_a_fast_dds_that_is_not_known_is_left_alone(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(departure, "_fast_dds", lambda: None)
+    monkeypatch.setattr(fastdds_shutdown, "fast_dds", lambda: None)
     stop_discovery(context)
     one = node_of(context, "one")
     one.destroy_node()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/a/lib/libfastrtps.so.2.14",
+        "/two words/and  more/libfastrtps.so",
+        "/Bjørn's flöck/lib/libfastrtps.so.2.14.5",
+        "/not\udcfcutf-8/libfastrtps.so.2.14",
+    ],
+)
+@pytest.mark.parametrize("suffix", ["", " (deleted)"])
+def test_fast_dds_is_found_wherever_it_is_kept(path: str, suffix: str) -> None:
+    mapped = "7f0000000000-7f0000001000 r-xp 00000000 fe:01 123456"
+    maps = (
+        f"{mapped}     /usr/lib/libfastrtps.so.d/other.so\n{mapped} \n"
+        f"{mapped}     {path}{suffix}\n{mapped}     [stack]\n"
+    )
+    assert fastdds_shutdown.library_in(os.fsencode(maps)) == path
+
+
+def test_fast_dds_is_not_found_where_it_is_not_used() -> None:
+    assert (
+        fastdds_shutdown.library_in(b"7f00-7f01 r-xp 00000000 fe:01 1  /usr/lib/libc.so.6\n")
+        is None
+    )
 
 
 def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
@@ -105,8 +134,8 @@ def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
             process.settle()
             names.append(node.get_node_names())
             used.append(ports(os.getpid()))
-            assert not shared_memory(os.getpid())
-            assert {address for address, _ in sockets(os.getpid())} == {"127.0.0.1"}
+            assert not shared_memory()
+            assert {address for address, _ in udp_sockets()} == {"127.0.0.1"}
 
     try:
         with own_domain() as domain:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A playback is operated from the keyboard of a real terminal, which is left as it was."""
+"""The keyboard of a real terminal controls a playback, and the terminal is restored."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 from flock_interfaces import srv
 from flock_interfaces.msg import BirdState
-from flock_sim.core import topics
-from terminal import Terminal
-from visitor import Visitor
+from flock_sim.messages import topics
+from support.terminal import Terminal
+from support.visitor import Visitor
 
 RIGHT, UP, DOWN = b"\x1b[C", b"\x1b[A", b"\x1bOB"
 """As terminals send them; the last in the mode of applications."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is played and recorded again is an equal bag; what was missed is said."""
+"""Recording a playback gives an equal bag. Missing parts are reported."""
 
 from __future__ import annotations
 
@@ -7,16 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from bags import assert_equal
 from flock_interfaces import srv
-from flock_sim.bag.reader import BagReader
-from flock_sim.run import Run
-from terminal import Job, Terminal
-from visitor import Visitor
+from flock_interfaces.msg import Perturbation
+from flock_sim.bag.reading.reader import BagReader
+from flock_sim.messages import topics
+from flock_sim.messages.types import Push
+from flock_sim.recording.run import Run
+from flock_sim.ros.endpoints import latched
+from support.bags import assert_equal
+from support.terminal import Job, Terminal
+from support.visitor import Visitor
 
 FLOCK = ("--birds", 3, "--t-max", 2000, "--record-every", 2, "--span-ratio", "1=0.98,1.0")
 GIVEN = ("birds:=3", "t_max:=2000.0", "record_every:=2", "span_ratios:=['1=0.98,1.0']")
 HEARD = "all birds and /clock are heard"
+NO_PUSH = Push(0, 10, 0.1, 0.0, number=1, bird=4, member=1)
+"""A push that no flight of three birds can have."""
 
 
 def recorder(terminal: Terminal, output: str, *given: str) -> Job:
@@ -29,6 +35,9 @@ def played_again(terminal: Terminal, visitor: Visitor, bag: str, *given: str) ->
     """Record what is played of `bag` as `again`."""
     player = terminal.start("play", bag, "--rate", 0, "--paused")
     job = recorder(terminal, "again", *given).until_said(HEARD)
+    outlet = visitor.node.create_publisher(Perturbation, topics.PERTURBATION_TOPIC, latched(1))
+    visitor.until(lambda: outlet.get_subscription_count() > 0)
+    outlet.publish(NO_PUSH.encode())
     visitor.ask(srv.Resume, "/flock/player/resume")
     visitor.until(lambda: not job.running)
     done = job.wait()
@@ -47,6 +56,8 @@ def test_a_played_reference_is_recorded_to_the_byte(terminal: Terminal, visitor:
     played_again(terminal, visitor, "bag", *GIVEN)
     assert_equal(terminal, "again", "bag", messages=3 * 1001)
     assert states(terminal.directory / "again") == states(terminal.directory / "bag")
+    with Run(terminal.directory / "again") as again:
+        assert again.perturbations() == []
 
 
 def test_a_played_flight_over_bad_links_is_recorded_with_its_pushes(

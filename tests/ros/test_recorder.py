@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the recorder calls safe is on disk: the checkpoint that a flight can be resumed from."""
+"""Steps that the recorder reports as saved are on disk: they are the checkpoint of a resumption."""
 
 from __future__ import annotations
 
 from std_srvs.srv import Trigger
 
 from flock_interfaces.msg import Progress
-from flock_sim.core import topics
-from flock_sim.nodes.endpoints import latched
-from flock_sim.run import Run
-from terminal import Terminal
-from visitor import Visitor
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.output_directory import own_output
+from flock_sim.recording.run import Run
+from flock_sim.ros.endpoints import latched
+from support.flights import flown_rows
+from support.terminal import Terminal
+from support.visitor import Visitor
 
 
 def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
@@ -34,3 +38,21 @@ def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
     assert job.wait().status == 0
     assert heard == sorted(heard)
     assert heard[-1] > heard[0]
+
+
+def test_a_recorder_by_hand_keeps_off_a_bag_that_is_recorded_to(terminal: Terminal) -> None:
+    flown = FlockConfiguration(birds=2, t_max=20.0)
+    bag = terminal.directory / "bag"
+    with own_output(bag, force=False), recording(bag, flown, grants=True) as run:
+        for row in flown_rows(flown)[:2]:
+            run.write_row(row)
+        run.flush()
+        for how in ("force:=true", "resume:=true"):
+            words = ("-p", "output:=bag", "-p", how, "-p", "birds:=2", "-p", "t_max:=20.0")
+            done = terminal.run("recorder", "--ros-args", *words)
+            assert done.status == 2
+            assert "another process is recording to bag" in done.error
+        assert not (bag / "metadata.yaml").exists()
+    with Run(bag) as whole:
+        assert whole.configuration == flown
+        assert sum(1 for _ in whole.states()) == 4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights within this process: what others build their experiments and tests on."""
+"""Flights within this process, the base of users' own experiments and tests."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from flock_sim import reference
-from flock_sim.command_line import FLOCK_OPTIONS
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flock import Flock
-from flock_sim.core.flock_step import forces, move
-from flock_sim.core.kernel import FloatArray
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.runge_kutta import STAGES
-from flock_sim.core.steering import View
+from flock_sim.commands import reference
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.nodes.bird import BirdNode
-from flock_sim.run import Run
-from flock_sim.testing import fly_in_process
-from flock_tools.dataset import load
-from terminal import ports, shared_memory
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock import Flock
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.control_force import Perception
+from flock_sim.recording.run import Run
+from flock_sim.reference.flock_kernel import forces, move
+from flock_sim.reference.integrator import Reference
+from flock_sim.ros.settings_check import shared_memory
+from flock_tools.runs.dataset import load
+from flock_tools.testing import fly
+from support.terminal import ports
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +50,7 @@ class Watched(BirdNode):
     def __init__(self, *arguments: object, **options: object) -> None:
         super().__init__(*arguments, **options)
         Watched.ports |= ports(os.getpid())
-        Watched.shared |= shared_memory(os.getpid())
+        Watched.shared |= shared_memory()
         Watched.domains.append(os.environ["ROS_DOMAIN_ID"])
 
 
@@ -63,7 +64,7 @@ class Watched(BirdNode):
     ids=["members", "links", "alone"],
 )
 def test_the_dataset_is_that_of_the_reference_to_the_bit(flock, tmp_path):
-    flown = fly_in_process(**flock)
+    flown = fly(**flock)
     arguments = [
         str(word)
         for key, given in flock.items()
@@ -87,8 +88,8 @@ def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypat
     environment, threads = dict(os.environ), threading.active_count()
     before = ports(os.getpid())
     flock = FlockConfiguration(birds=2, t_max=50.0)
-    first = fly_in_process(flock, bird=Watched)
-    second = fly_in_process(flock, bird=Watched)
+    first = fly(flock, bird=Watched)
+    second = fly(flock, bird=Watched)
     xr.testing.assert_identical(first, second)
     assert dict(os.environ) == environment
     assert threading.active_count() == threads
@@ -101,26 +102,26 @@ def test_a_second_flight_is_as_the_first_and_nothing_is_left_of_either(monkeypat
 
 def test_parameters_win_over_the_configuration_and_the_bag_stays_where_asked(tmp_path):
     flock = FlockConfiguration(birds=2, t_max=50.0)
-    flown = fly_in_process(flock, t_max=20.0, output=tmp_path / "bag")
+    flown = fly(flock, t_max=20.0, output=tmp_path / "bag")
     assert flown.time[-1] == 20.0
     with Run(tmp_path / "bag") as run:
         assert run.configuration == FlockConfiguration(birds=2, t_max=20.0)
         assert run.missing is None
     with pytest.raises(FlockError, match="exists"):
-        fly_in_process(flock, output=tmp_path / "bag")
+        fly(flock, output=tmp_path / "bag")
 
 
 class Keeper(BirdNode):
     """A bird with a force of its own."""
 
-    def control(self, view: View) -> FloatArray:
+    def control(self, view: Perception) -> FloatArray:
         others = (view.positions - view.position).sum(axis=0)
         return np.asarray(0.01 * others + 0.1 * np.sin(view.time) * (1.2 - view.speed))
 
 
 def forced(configuration: FlockConfiguration) -> FloatArray:
     """Speeds of a flock of Keepers, shape (steps + 1, birds, members), flown in one loop."""
-    flock, flight = Flock.of(configuration), Monolith(configuration)
+    flock, flight = Flock.of(configuration), Reference(configuration)
     x, u, dt = flight.position, flight.speed, configuration.dt
     around = [
         [other - 1 for other in formation.neighbours(bird, flock.birds, configuration.coupling)]
@@ -150,9 +151,9 @@ def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit()
     flock = FlockConfiguration(
         birds=4, dt=0.5, t_max=50.0, record_every=1, span_ratios=("2=0.97,1.03",)
     )
-    flown = fly_in_process(flock, bird=Keeper).speed.values
+    flown = fly(flock, bird=Keeper).speed.values
     np.testing.assert_array_equal(flown, forced(flock))
-    assert not np.array_equal(flown, fly_in_process(flock).speed)
+    assert not np.array_equal(flown, fly(flock).speed)
 
 
 @pytest.mark.parametrize(
@@ -166,13 +167,13 @@ def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit()
 )
 def test_bad_input_is_refused_in_one_line(bad, words):
     with pytest.raises(FlockError, match=words):
-        fly_in_process(**bad)
+        fly(**bad)
 
 
 class Broken(BirdNode):
     """A bird whose control fails in flight."""
 
-    def control(self, view: View) -> float:
+    def control(self, view: Perception) -> float:
         if view.time > 20.0:
             raise ZeroDivisionError("the experiment has a fault")
         return 0.0
@@ -188,10 +189,10 @@ class Deaf(BirdNode):
 def test_what_a_bird_fails_with_is_raised_and_the_next_flight_flies(temporary):
     environment, threads = dict(os.environ), threading.active_count()
     with pytest.raises(ZeroDivisionError, match="the experiment has a fault"):
-        fly_in_process(birds=2, t_max=1000.0, bird=Broken)
+        fly(birds=2, t_max=1000.0, bird=Broken)
     with pytest.raises(RunFailed, match=r"no progress for 0\.5 s, waiting for bird_01, bird_02"):
-        fly_in_process(birds=2, t_max=10.0, bird=Deaf, timeout=0.5)
-    assert fly_in_process(birds=2, t_max=10.0).time[-1] == 10.0
+        fly(birds=2, t_max=10.0, bird=Deaf, timeout=0.5)
+    assert fly(birds=2, t_max=10.0).time[-1] == 10.0
     assert dict(os.environ) == environment
     assert threading.active_count() == threads
     assert list(temporary.iterdir()) == []

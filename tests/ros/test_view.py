@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `view` publishes of a flock, to ROS 2 and to Foxglove, is what its bag says."""
+"""The topics that `view` publishes, to ROS 2 and to Foxglove, agree with the bag."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from sensor_msgs.msg import Image
 from visualization_msgs.msg import MarkerArray
 from websockets.sync.client import ClientConnection, connect
 
-from flock_sim.core.messages import FRAME
 from flock_sim.errors import FlockError
-from flock_sim.run import Run
-from flock_tools.foxglove_server import FoxgloveServer
-from flock_tools.view_picture import scene_of
-from flock_tools.viewer import FOXGLOVE_TYPES
-from terminal import Job, Terminal
-from visitor import Visitor
+from flock_sim.messages.types import FRAME
+from flock_sim.recording.run import Run
+from flock_tools.scene.foxglove_server import FoxgloveServer
+from flock_tools.scene.picture import scene_of
+from flock_tools.scene.viewer import FOXGLOVE_TYPES
+from support.bags import last_step
+from support.terminal import Job, Terminal
+from support.visitor import Visitor
 
 FLOCK = ("--birds", 3, "--t-max", 300, "--span-ratio", "1=0.95,1.0")
 SUBPROTOCOL = "foxglove.sdk.v1"
@@ -42,6 +43,15 @@ def recorded(terminal: Terminal, bag: str, seconds: int, nanoseconds: int, membe
         time = (seconds + 1e-9 * nanoseconds) / run.configuration.second
         every = run.configuration.record_every * run.configuration.dt
         return scene_of(run, every * round(time / every), member - 1)
+
+
+def recorded_to(bag: Path) -> int:
+    """Return the simulated time, in ns, up to which a flight is on disk; -1 for none."""
+    step = last_step(bag)
+    if step < 0:
+        return -1
+    with Run(bag) as run:
+        return run.configuration.stamp(step)
 
 
 def check_markers(terminal: Terminal, bag: str, array, member: int) -> None:
@@ -151,6 +161,8 @@ def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
             assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
             assert channel["schemaName"] == FOXGLOVE_TYPES[topic]
         heard = client.hear(list(client.channels))
+    shown = max(stamp for stamp, _ in heard.values())
+    flight.until(lambda: recorded_to(terminal.directory / "flown") >= shown)
     flight.interrupt()
     assert flight.wait().status == 130
     job.interrupt()

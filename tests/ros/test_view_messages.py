@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes that are written are messages as others read them, with nothing lost."""
+"""The serialised messages of a scene decode as ROS 2 messages, without loss."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker, MarkerArray
 
-from flock_tools import view_messages
-from flock_tools.view_scene import Kind, scene
-from unit.test_view_scene import moment
+from flock_tools.scene import messages
+from flock_tools.scene.shapes import Kind, scene
+from unit.scene.test_shapes import moment
 
 SHOWN = scene(moment(), [moment().along - 1.0])
 
 
 def test_markers_are_those_of_visualization_msgs() -> None:
-    data = view_messages.markers(SHOWN, anew=False)
+    data = messages.markers(SHOWN, anew=False)
     array = deserialize_message(data, MarkerArray)
     assert len(array.markers) == len(SHOWN.shapes)
     for marker, shape in zip(array.markers, SHOWN.shapes, strict=True):
@@ -47,13 +47,13 @@ def test_the_kinds_of_shapes_are_those_of_markers() -> None:
 
 
 def test_what_was_shown_before_is_removed_first() -> None:
-    array = deserialize_message(view_messages.markers(SHOWN, anew=True), MarkerArray)
+    array = deserialize_message(messages.markers(SHOWN, anew=True), MarkerArray)
     assert [marker.action for marker in array.markers[:2]] == [Marker.DELETEALL, Marker.ADD]
     assert len(array.markers) == len(SHOWN.shapes) + 1
 
 
 def test_the_image_is_one_of_sensor_msgs() -> None:
-    image = deserialize_message(view_messages.image(SHOWN), Image)
+    image = deserialize_message(messages.image(SHOWN), Image)
     assert (image.height, image.width) == SHOWN.upwash.shape
     assert (image.encoding, image.step, image.is_bigendian) == ("32FC1", 4 * image.width, 0)
     pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
@@ -61,16 +61,14 @@ def test_the_image_is_one_of_sensor_msgs() -> None:
 
 
 def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:
-    told = deserialize_message(view_messages.transform(SHOWN.moment), TransformStamped)
+    told = deserialize_message(messages.transform(SHOWN.moment), TransformStamped)
     assert (told.header.frame_id, told.child_frame_id) == ("world", "flock")
     shift = told.transform.translation
     assert (shift.x, shift.y, shift.z) == (800.0, 0.0, 0.0)  # b = 0.8 m
     assert told.transform.rotation.w == 1.0
     # There is no wheel of tf2_msgs; others know the type.
     store = get_typestore(Stores.ROS2_JAZZY)
-    message = store.deserialize_cdr(
-        view_messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage"
-    )
+    message = store.deserialize_cdr(messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage")
     (same,) = message.transforms
     assert (same.header.frame_id, same.child_frame_id) == ("world", "flock")
     assert (same.header.stamp.sec, same.header.stamp.nanosec) == (1, 2)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `watch` shows of a flock is what its bag says."""
+"""The table of `watch` agrees with the bag."""
 
 from __future__ import annotations
 
-from flock_sim.run import Run
-from terminal import Terminal
+from flock_sim.recording.run import Run
+from support.bags import last_step
+from support.terminal import Terminal
 
 FLOCK = ("--birds", 3, "--t-max", 300, "--span-ratio", "1=0.95,1.0")
 
@@ -33,6 +34,7 @@ def test_a_flight_is_shown_with_all_that_its_clock_tells(terminal: Terminal) -> 
     done = terminal.run("watch", "--json", "--timeout", 60)
     assert done.status == 0, done.stderr
     shown = done.json
+    job.until(lambda: last_step(terminal.directory / "flown") >= shown["step"])
     job.interrupt()
     assert job.wait().status == 130
     with Run(terminal.directory / "flown") as run:

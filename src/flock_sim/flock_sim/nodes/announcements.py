@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the clock and the recorder say to all birds: heard once in a process, for all its birds."""
+"""Messages of the clock and the recorder to all birds: one subscription per process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from flock_interfaces.msg import Checkpoint, Grant
-from flock_sim.core import messages, topics
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
 
 if TYPE_CHECKING:
     from flock_sim.nodes.bird import BirdNode
@@ -16,18 +17,18 @@ if TYPE_CHECKING:
 class Announcements:
     """Grants and checkpoints, on their way to the birds of one process.
 
-    A subscription for each bird would make the clock send every grant to each of them; and starting
-    a flock of hundreds is mostly the work of making endpoints known.
+    With one subscription per bird, the clock would send every grant to each bird. The start of a
+    flock of hundreds would take longer too, since discovery of endpoints is most of its work.
     """
 
     def __init__(self, birds: Sequence[BirdNode]) -> None:
-        """Listen for `birds`, as the first of them."""
+        """Subscribe for `birds`, with the node of the first one."""
         self._birds = birds
         self._grants = birds[0].subscribe_drained(Grant, topics.GRANT_TOPIC)
         self._checkpoints = birds[0].subscribe_drained(Checkpoint, topics.CHECKPOINT_TOPIC)
 
     def drain(self) -> bool:
-        """Take what has come, and let all birds hear it; return whether it was for any of them."""
+        """Take all messages and pass them to all birds; return whether any bird accepted one."""
         moved = False
         while (data := self._grants.take()) is not None:
             for bird in self._birds:

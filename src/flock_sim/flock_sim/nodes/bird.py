@@ -1,61 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bird as a ROS 2 node, and the process of one bird or of several."""
+"""A bird as a ROS 2 node."""
 
 from __future__ import annotations
 
-import gc
-import sys
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, TypeVar
 
 from rclpy.context import Context
-from rclpy.executors import Executor
 from rclpy.publisher import Publisher
 
 from flock_interfaces.msg import BirdMemory, BirdStage, BirdState, BirdWing, Progress
-from flock_sim.core import messages, topics
-from flock_sim.core.bird_step import StageKernel, feel_and_move
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.free_flight import check_free
-from flock_sim.core.protocol import BirdProtocol, Channel, Outgoing
-from flock_sim.core.stage_inbox import MALFORMED
-from flock_sim.core.steering import Control
-from flock_sim.errors import FlockError
-from flock_sim.nodes.announcements import Announcements
-from flock_sim.nodes.complaints import Complaints
-from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
-from flock_sim.nodes.drain import keep_flying
-from flock_sim.nodes.endpoints import DrainedNode, latched, wait_until_heard
-from flock_sim.nodes.exchange import FAILED, MOVED, STRANGE, Legs, legs_of, strange
-from flock_sim.nodes.parameters import OF_ALL, declare
-from flock_sim.nodes.patience import Patience
-from flock_sim.nodes.process import Process, executing, new_life, run_node
-from flock_sim.nodes.stopwatch import Stopwatch
-from flock_sim.stop import Stop
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.rejection import MALFORMED
+from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird_kernel import StageKernel
+from flock_sim.protocol.control_force import Control
+from flock_sim.ros.compiled_exchange import (
+    FAILED,
+    MOVED,
+    STRANGE,
+    CompiledExchange,
+    compiled_exchange_of,
+    strange,
+)
+from flock_sim.ros.endpoints import DrainedNode, latched
+from flock_sim.ros.fetch import let_fetch
+from flock_sim.ros.process import new_incarnation
+from flock_sim.ros.rejection_warnings import RejectionWarnings
 
 if TYPE_CHECKING:
-    from flock_sim.core.free_bird import FreeBird
+    from flock_sim.protocol.free_bird import FreeBird
 
 REPORTS = latched(1000)
-"""How reports to the clock are sent: those of all birds of a process by one publisher."""
+"""QoS of the reports to the clock. One publisher sends those of all birds of a process."""
 
-FAREWELL = 1.0
-"""Longest wait, in s, for whoever else listens; the flock itself needs released birds no more."""
+FETCHED = (Channel.STATE, Channel.MEMORY, Channel.AGES)
+"""Channels for the recorder and other listeners. No bird waits for their messages."""
 
 Heard = TypeVar("Heard", bound=messages.Message)
 
-Keep = Callable[..., None]
-"""What `keep_flying` is, and whatever flies birds by the same arguments."""
-
 
 class BirdNode(DrainedNode):
-    """A bird: moves messages between its protocol and its topics, and nothing else."""
+    """A bird node. It only moves messages between its protocol and its topics."""
 
     control: Control | None = None
-    """A force besides those that all birds feel: a method of subclasses that have one."""
+    """A force in addition to thrust and drag: subclasses may define it as a method."""
 
     def __init__(
         self,
@@ -70,11 +61,11 @@ class BirdNode(DrainedNode):
         protocol: BirdProtocol | FreeBird | None = None,
         outlets: Mapping[Channel, tuple[type, str]] | None = None,
     ) -> None:
-        """Put bird 1..N on its topics; `services`: with rosout and those for parameters.
+        """Put bird 1..N on its topics; `services`: with rosout and the parameter services.
 
-        `first` is that of its process, if there are others: they report and complain together.
-        `stage_kernel` is for the protocol.
-        `protocol` and the `outlets` that go with it are those of lockstep if not given.
+        `first` is the first bird of its process, if there are several: they share the publisher of
+        reports, and the rejection warnings. `stage_kernel` is for the protocol. Without `protocol`
+        and its `outlets`, the bird flies in lockstep.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -84,12 +75,15 @@ class BirdNode(DrainedNode):
             enable_rosout=services,
         )
         self._protocol = protocol or BirdProtocol(
-            bird, configuration, run_id, new_life(), self.control, stage_kernel
+            bird, configuration, run_id, new_incarnation(), self.control, stage_kernel
         )
-        self._legs: Legs | None = None
+        self._exchange: CompiledExchange | None = None
+        outlets = outlets or _outlets(bird, configuration)
+        fetched = [topic for channel, (_, topic) in outlets.items() if channel in FETCHED]
+        let_fetch(fetched, topics.fetch_period(configuration))
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
-            for channel, (kind, topic) in (outlets or _outlets(bird, configuration)).items()
+            for channel, (kind, topic) in outlets.items()
         }
         if first is None:
             self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, REPORTS)
@@ -110,74 +104,76 @@ class BirdNode(DrainedNode):
             for other in self.protocol.neighbours
         }
         self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
-        self._complaints = Complaints(self.get_name(), self.protocol.ignored_for, self.told)
+        self._rejection_warnings = RejectionWarnings(
+            self.get_name(), self.protocol.ignored_for, self.told
+        )
         if isinstance(self._protocol, BirdProtocol):
             inlets = [inlet.subscription for inlet in self._stages.values()]
             outlet = self._outlets[Channel.STAGE]
-            self._legs = legs_of(self._protocol, configuration.dt, outlet, inlets)
+            self._exchange = compiled_exchange_of(self._protocol, configuration.dt, outlet, inlets)
 
     @property
     def protocol(self) -> BirdProtocol | FreeBird:
-        """What it says when. Where it is on a leg, it lands to be asked."""
-        if self._legs and self._legs.on:
-            self._send(self._legs.land())
+        """The protocol of this bird. Access to it ends the fast path."""
+        if self._exchange and self._exchange.on:
+            self._send(self._exchange.leave())
         return self._protocol
 
     def drain(self) -> bool:
-        """Take the stages that it waits for, and go on; return whether it could."""
-        legs = self._legs
-        if legs is None or not legs.embark():
+        """Take the stages that it waits for, and continue; return whether any came."""
+        exchange = self._exchange
+        if exchange is None or not exchange.enter():
             return self._take_missing()
-        return self._after(legs.go_on())
+        return self._after(exchange.go_on())
 
     def drain_rare(self) -> bool:
-        """Take all else: stages of whom it waits for no more, wings before the flight."""
-        legs = self._legs
-        if legs and legs.on:
-            moved = self._after(legs.look_through())
-            if legs.foreign and legs.on:
-                self._send(legs.land())
+        """Take all other messages: stages not waited for, and wings before the flight."""
+        exchange = self._exchange
+        if exchange and exchange.on:
+            moved = self._after(exchange.look_through())
+            if exchange.foreign and exchange.on:
+                self._send(exchange.leave())
         else:
             moved = self._take_all_stages()
         if not self._protocol.in_flight:
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
                     moved |= self.hear(messages.Wing, self._protocol.receive_wing, data)
-        self._complaints.tell()
+        self._rejection_warnings.tell()
         return moved
 
     def report(self) -> None:
-        """Tell the clock that this bird is there, and waits."""
+        """Report to the clock that this bird is present and waits."""
         self._send(self.protocol.report())
 
     @property
     def finished(self) -> bool:
         """Whether the flight is over for this bird."""
-        if self._legs and self._legs.on:
+        if self._exchange and self._exchange.on:
             return False
         return self.protocol.finished and self.protocol.released
 
     @property
     def waiting_for(self) -> str:
-        """What the bird needs to go on, in words."""
+        """What the bird needs to continue, as text."""
         return f"{self.get_name()} waits for {self.protocol.waiting_for}"
 
     @property
     def outlets(self) -> Iterable[Publisher]:
-        """All that it says something on."""
+        """The publishers of this bird."""
         return self._outlets.values()
 
     def destroy_node(self) -> None:
-        """Be no more; legs go by the addresses of what goes with it."""
-        self._legs = None
+        """Destroy this node, and first its fast path, which uses addresses of its endpoints."""
+        self._exchange = None
         super().destroy_node()
 
     def hear(
         self, kind: type[Heard], receive: Callable[[Heard], list[Outgoing]], data: bytes
     ) -> bool:
-        """Let its protocol `receive` a message, and send what that answers.
+        """Pass a message to `receive` of the protocol, and send the messages that it returns.
 
-        Returns whether it was one for this bird.
+        Returns whether the protocol accepted the message.
         """
         ignored = self.protocol.ignored
         try:
@@ -189,14 +185,14 @@ class BirdNode(DrainedNode):
         return self.protocol.ignored == ignored
 
     def _after(self, outcome: int) -> bool:
-        """Land where a leg is over, or can't go on by itself; return whether anything came."""
+        """Leave the fast path if it is over or cannot continue. Return whether anything came."""
         if outcome <= MOVED:
             return outcome == MOVED
-        legs = self._legs
-        assert legs is not None
-        moved = legs.moved
+        exchange = self._exchange
+        assert exchange is not None
+        moved = exchange.moved
         data = strange() if outcome == STRANGE else b""
-        self._send(legs.land())
+        self._send(exchange.leave())
         if outcome == STRANGE:
             moved |= self._take_stage(data)
         elif outcome == FAILED:
@@ -206,8 +202,8 @@ class BirdNode(DrainedNode):
     def _take_missing(self) -> bool:
         """Take the stages that the protocol waits for; return whether any came.
 
-        Where it waits for none, whatever is there: a queue that is full of another flight's would
-        turn away our neighbours'.
+        If it waits for none, take all stages: a queue full of another flight's messages would
+        reject those of our neighbours.
         """
         protocol = self.protocol
         missing = protocol.missing
@@ -233,7 +229,7 @@ class BirdNode(DrainedNode):
         return moved
 
     def _take_stage(self, data: bytes) -> bool:
-        """Let its protocol receive a stage; return whether it was one for this bird."""
+        """Pass a stage to the protocol; return whether the protocol accepted it."""
         protocol = self.protocol
         ignored = protocol.ignored
         self._send(protocol.receive_stage(data))
@@ -245,137 +241,12 @@ class BirdNode(DrainedNode):
 
 
 def _outlets(bird: int, configuration: FlockConfiguration) -> dict[Channel, tuple[type, str]]:
-    """Return what a bird says where in lockstep, reports apart."""
+    """Return the type and the topic of each channel in lockstep, except reports."""
     outlets = {
         Channel.WING: (BirdWing, topics.wing_topic(bird)),
         Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
         Channel.STATE: (BirdState, topics.state_topic(bird)),
     }
-    if configuration.linkage.remembers(bird):
+    if configuration.link_table.remembers(bird):
         outlets[Channel.MEMORY] = (BirdMemory, topics.memory_topic(bird))
     return outlets
-
-
-def work(process: Process) -> None:
-    """Fly the birds that the parameters name, in lockstep or freely."""
-    configuration, operation = process.configuration, process.operation
-    indices = operation["indices"] or [operation["index"]]
-    for index in indices:
-        if not 1 <= index <= configuration.birds:
-            raise FlockError(
-                f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
-            )
-    watch = Stopwatch() if operation["stopwatch"] else None
-    with executing(operation["executor"], process.context) as executor:
-        alone = len(indices) == 1
-        kind, keep = _free(process) if operation["real_time_factor"] else _lockstep(watch)
-        birds = hatch(
-            indices, configuration, operation["run_id"], executor, kind=kind, services=alone
-        )
-        if alone:
-            operation = {**operation, "index": indices[0]}
-            declare(birds[0], configuration, operation, ("index", *OF_ALL))
-        process.settle()
-        gc.freeze()  # what is here stays: no need to look through it again and again
-        fly_together(birds, executor, process.stop, process.patience(), keep)
-        if watch:
-            watch.times.write(Path(operation["stopwatch"]))
-        wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
-
-
-def _lockstep(watch: Stopwatch | None) -> tuple[Callable[..., BirdNode], Keep]:
-    """Return how birds that wait for each other are made, and flown; `watch` takes the time."""
-    if watch is None:
-        return BirdNode, keep_flying
-    return partial(BirdNode, stage_kernel=watch.around(feel_and_move)), watch.keep_flying
-
-
-def _free(process: Process) -> tuple[Callable[..., BirdNode], Keep]:
-    """Return how birds that fly freely are made, and flown."""
-    # Imported here, since they are made of the birds above.
-    from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
-
-    operation = process.operation
-    factor = operation["real_time_factor"]
-    check_free(process.configuration, factor, operation["timeout"], operation["record_stages"])
-    return partial(FreeBirdNode, factor=factor), keep_ticking
-
-
-def hatch(
-    indices: Iterable[int],
-    configuration: FlockConfiguration,
-    run_id: int,
-    executor: Executor,
-    *,
-    kind: Callable[..., BirdNode] = BirdNode,
-    services: bool = False,
-) -> list[BirdNode]:
-    """Return the birds `indices` of one process, nodes of a `kind` that `executor` serves."""
-    birds: list[BirdNode] = []
-    for index in indices:
-        first = birds[0] if birds else None
-        bird = kind(
-            index, configuration, run_id, context=executor.context, services=services, first=first
-        )
-        executor.add_node(bird)
-        birds.append(bird)
-    return birds
-
-
-def fly_together(
-    birds: Sequence[BirdNode],
-    executor: Executor,
-    stop: Stop,
-    patience: Patience,
-    keep: Keep = keep_flying,
-) -> None:
-    """Fly the birds of one process to the end, or until `stop`; `keep` does as `keep_flying`.
-
-    Raises RunFailed when `patience` runs out.
-    """
-    announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
-
-    def look_around() -> bool:
-        diagnostics.tell(lambda: status(birds))
-        return announcements.drain()
-
-    keep(birds, executor, stop, patience, look_around)
-
-
-def status(birds: Sequence[BirdNode]) -> Status:
-    """Return what the process of `birds` tells of itself."""
-    protocols = [bird.protocol for bird in birds]
-    last = min(birds, key=lambda bird: bird.protocol.step)
-    waiting = [bird.waiting_for for bird in birds if not bird.protocol.in_flight]
-    counts = sum((protocol.ignored_for for protocol in protocols), Counter[str]())
-    return (
-        not waiting,
-        waiting[0] if waiting else "flying",
-        {
-            "birds": ", ".join(str(protocol.bird) for protocol in protocols),
-            "step": last.protocol.step,
-            "furthest behind": last.waiting_for,
-            **ignored(counts),
-        },
-    )
-
-
-_main = run_node(
-    "bird",
-    "One bird as a ROS 2 node. It flies as soon as its neighbours and the clock are there.\n\n"
-    "parameters: index (1..N), run_id, timeout (s without news), executor (events|single),\n"
-    "real_time_factor (to all nodes: fly freely, so much faster than real time), and all keys of\n"
-    "the configuration file.",
-    "  ./flock bird --ros-args -p index:=3 --params-file flock.yaml\n"
-    "  ros2 run flock_sim bird --ros-args -p index:=1 -p birds:=3 -p t_max:=100.0",
-    work,
-)
-
-
-def main() -> int:
-    """Run the `bird` executable."""
-    return _main(None)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

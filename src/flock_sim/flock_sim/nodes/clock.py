@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The clock as a ROS 2 node: it keeps the flock together and tells the simulated time."""
+"""The clock as a ROS 2 node: it keeps the flock together and publishes the simulated time."""
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -13,47 +14,67 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import Checkpoint, Grant, Perturbation, Progress
-from flock_sim.core import messages, topics
-from flock_sim.core.free_flight import NO_WAY_BACK
-from flock_sim.core.stage_inbox import MALFORMED
-from flock_sim.core.terms import run_id_of
-from flock_sim.core.timekeeper import Message, Timekeeper
+from flock_sim.console.signals import Stop
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.complaints import Complaints
-from flock_sim.nodes.control import Control
-from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
-from flock_sim.nodes.endpoints import ALL, latched, wait_until_heard
-from flock_sim.nodes.parameters import OF_ALL, declare
-from flock_sim.nodes.patience import Patience
-from flock_sim.nodes.process import Process, executing, run_node
-from flock_sim.stop import Stop
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.epochs import ahead, first_epoch
+from flock_sim.messages.handshake import run_id_of
+from flock_sim.messages.rejection import MALFORMED
+from flock_sim.nodes.clock_services import Control
+from flock_sim.protocol.clock import Message, Timekeeper
+from flock_sim.protocol.free_flight import NO_WAY_BACK
+from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
+from flock_sim.ros.endpoints import ALL, latched, wait_until_heard
+from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.process import Process, executing, run_node
+from flock_sim.ros.rejection_warnings import RejectionWarnings
+from flock_sim.ros.watchdog import Watchdog
 
 OWN = ("window", "record", "record_stages", *OF_ALL)
-"""What a clock is told of how it operates."""
+"""Operating parameters of a clock."""
 
 WAIT = 0.05
-"""How long the clock waits for news at a time, in s."""
+"""Longest single wait for messages, in s."""
 
 REPEAT_EVERY = 1.0
-"""How often, in s, the last leave is said again: who hears it knows that the clock is there."""
+"""Time between repeats of the last grant, in s. They show that the clock is alive."""
 
 
 FAREWELL = 10.0
-"""Longest wait, in s, for listeners to hear that the run is over."""
+"""Longest wait for listeners to receive the end of the run, in s."""
+
+
+class Rival:
+    """Whether another clock leads the run. One grant of it is not enough: it repeats them."""
+
+    def __init__(self) -> None:
+        self.leads = False
+        self._heard_at = -math.inf
+
+    @property
+    def heard(self) -> bool:
+        """Whether another clock's grant arrived recently."""
+        return time.monotonic() - self._heard_at < 3 * REPEAT_EVERY
+
+    def hear(self) -> None:
+        """Note a grant of another clock that is ahead of this one's."""
+        self.leads |= self.heard
+        self._heard_at = time.monotonic()
 
 
 class ClockNode(Node):
     """The clock: moves messages between a Timekeeper and the topics."""
 
     def __init__(self, keeper: Timekeeper, depth: int, *, context: Context | None = None) -> None:
-        """Begin the run of `keeper`; `depth` is that of the queue of /clock."""
+        """Begin the run of `keeper`; `depth` is the queue depth of /clock."""
         super().__init__("clock", namespace=topics.NAMESPACE, context=context)
         self.keeper = keeper
         self.rate = 0.0
-        """Steps a second, lately."""
+        """Recent steps per second."""
         self._rated = (time.monotonic(), 0)
         self._led = False
-        self._outdone = False  # by another clock, which leads this run
+        self._rival = Rival()
         self._outlets = {
             messages.Grant: self.create_publisher(Grant, topics.GRANT_TOPIC, latched(1)),
             messages.Time: self.create_publisher(Clock, topics.CLOCK_TOPIC, latched(depth)),
@@ -67,38 +88,42 @@ class ClockNode(Node):
         self.create_subscription(Progress, topics.PROGRESS_TOPIC, self._hear, ALL, raw=True)
         self.create_subscription(Grant, topics.GRANT_TOPIC, self._hear_another, ALL, raw=True)
         self._control = Control(self, keeper, self._send)
-        self._complaints = Complaints(self.get_name(), keeper.ignored_for)
+        self._rejection_warnings = RejectionWarnings(self.get_name(), keeper.ignored_for)
         self._diagnostics = Diagnostics(self)
         self._send(keeper.first_messages)
 
     def repeat(self) -> None:
-        """Say again what leave there is."""
+        """Repeat the last grant."""
         self._send([self.keeper.grant])
 
-    def look_around(self) -> None:
-        """Tell of what is amiss, and how the flight goes.
+    def rewind(self) -> None:
+        """Rewind the flock to the last step on disk."""
+        self._send(self.keeper.rewind())
 
-        Raises FlockError where another clock leads the run, RunFailed where a free flight is lost:
-        in a callback, rclpy would tell of it.
+    def look_around(self) -> None:
+        """Publish rejection warnings and diagnostics.
+
+        Raises FlockError if another clock leads the run, and RunFailed if a free flight would need
+        a rewind. It raises here since rclpy would report an exception of a callback itself.
         """
         if self.keeper.lost:
             raise RunFailed(NO_WAY_BACK)
-        if self._outdone:
+        if self._rival.leads:
             raise FlockError(
                 f"another clock leads run {self.keeper.run_id}: end it first, or give this one "
                 "another run_id"
             )
-        self._led |= self.keeper.begun
-        self._complaints.tell()
+        self._led |= self.keeper.begun and not self._rival.heard
+        self._rejection_warnings.tell()
         self._diagnostics.tell(self._status)
 
     def release(self) -> None:
-        """Let everybody go."""
+        """Release the other nodes if the run is finished."""
         if self.keeper.finished:
             self._send([self.keeper.release])
 
     def farewell(self, stop: Stop) -> None:
-        """Wait until all who listen have heard everything, or `stop`."""
+        """Wait until all listeners have received everything, or until `stop`."""
         wait_until_heard(self._outlets.values(), stop, FAREWELL)
 
     def _hear(self, data: bytes) -> None:
@@ -110,14 +135,17 @@ class ClockNode(Node):
             self._send(self.keeper.receive(progress))
 
     def _hear_another(self, data: bytes) -> None:
-        """Leave the run to another clock that leads it already: a flock needs one."""
+        """Note another clock that already leads the run: a flock needs only one."""
         try:
             grant = messages.Grant.decode(data)
         except ValueError:
             return
         ours = self.keeper.grant
-        ahead = (grant.epoch, grant.step) > (ours.epoch, ours.step)
-        self._outdone |= grant.run_id == ours.run_id and ahead and not self._led
+        if self._led or (grant.run_id, grant.terms) != (ours.run_id, ours.terms):
+            return
+        later = ahead(grant.epoch, ours.epoch)
+        if later > 0 or (later == 0 and grant.step > ours.step):
+            self._rival.hear()
 
     def _send(self, outgoing: Iterable[Message]) -> None:
         for message in outgoing:
@@ -149,15 +177,17 @@ class ClockNode(Node):
 
 
 def keep_time(
-    clock: ClockNode, executor: Executor, patience: Patience, watch: Callable[[], object]
+    clock: ClockNode, executor: Executor, watchdog: Watchdog, watch: Callable[[], object]
 ) -> tuple[float, float]:
     """Serve `clock` until its run is finished or `watch`, called every WAIT or so, is true.
 
-    Returns the monotonic times, in s, at which all were there and at which the run was over. Raises
-    RunFailed when `patience` runs out in a flock that stands still.
+    Returns the monotonic times, in s, at which all nodes were present and the run was over. A
+    flock that stands still is rewound to the last step on disk once. Raises RunFailed if `watchdog`
+    still runs out.
     """
     keeper = clock.keeper
     moves = -1
+    stuck = -1  # the step at which the flock stood still before the last rewind
     begun: float | None = None
     watched = repeated = time.monotonic()
     while not keeper.finished:
@@ -172,9 +202,12 @@ def keep_time(
         executor.spin_once(timeout_sec=WAIT)
         if keeper.moves != moves or keeper.paused:
             moves = keeper.moves
-            patience.renew()
+            watchdog.reset()
+        elif keeper.begun and not keeper.free and keeper.step > stuck and watchdog.half_elapsed:
+            stuck = keeper.step
+            clock.rewind()
         else:
-            patience.wait(lambda: f"waiting for {listing(keeper.waiting_for)} ({keeper.where})")
+            watchdog.wait(lambda: f"waiting for {listing(keeper.waiting_for)} ({keeper.where})")
         if now - repeated >= REPEAT_EVERY:
             repeated = now
             clock.repeat()
@@ -183,21 +216,13 @@ def keep_time(
 
 
 def listing(names: list[str], most: int = 8) -> str:
-    """Return names for a sentence, the first `most` of them."""
+    """Return the first `most` names as text, with the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
-def first_epoch() -> int:
-    """Return an epoch later than those of any clock before this one, from the system's time.
-
-    In 32 bits, sixteenths of seconds last for eight years, and then begin anew.
-    """
-    return int(16 * time.time()) % 2**32
-
-
 def work(process: Process) -> None:
-    """Be the clock of one run."""
+    """Run the clock of one run."""
     operation = process.operation
     keeper = Timekeeper(
         process.configuration,
@@ -206,7 +231,7 @@ def work(process: Process) -> None:
         operation["record"],
         operation["record_stages"],
         first_epoch(),
-        operation["real_time_factor"],
+        factor=operation["real_time_factor"],
     )
     with executing(operation["executor"], process.context) as executor:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
@@ -214,7 +239,7 @@ def work(process: Process) -> None:
         declare(clock, process.configuration, operation, OWN)
         executor.add_node(clock)
         process.settle()
-        keep_time(clock, executor, process.patience(), lambda: process.stop)
+        keep_time(clock, executor, process.watchdog(), lambda: process.stop)
         clock.release()
         clock.farewell(process.stop)
 

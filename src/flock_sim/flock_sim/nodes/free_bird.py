@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Birds that fly freely as ROS 2 nodes: each steps when it is time, on what DDS has brought."""
+"""Birds of a free flight as ROS 2 nodes: each steps by timer, with the latest messages."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Any
 from rclpy.executors import Executor
 
 from flock_interfaces.msg import BirdAges, BirdStage, BirdState, BirdWing
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.free_bird import FreeBird
-from flock_sim.core.protocol import Channel
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.signals import Stop
+from flock_sim.messages import topics
 from flock_sim.nodes.bird import BirdNode
-from flock_sim.nodes.drain import REPORT_EVERY
-from flock_sim.nodes.patience import Patience
-from flock_sim.nodes.process import new_life
-from flock_sim.stop import Stop
+from flock_sim.protocol.bird import Channel
+from flock_sim.protocol.free_bird import FreeBird
+from flock_sim.ros.process import new_incarnation
+from flock_sim.ros.spin import REPORT_EVERY
+from flock_sim.ros.watchdog import Watchdog
 
 REST = 0.02
-"""The longest, in s, that a process of birds rests: grants may lie so long."""
+"""Longest wait of a process of birds, in s: the longest delay of a grant."""
 
 
 class FreeBirdNode(BirdNode):
-    """A bird that flies freely: moves messages between a `FreeBird` and its topics."""
+    """A bird of a free flight: moves messages between a `FreeBird` and its topics."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class FreeBirdNode(BirdNode):
         **options: Any,
     ) -> None:
         """Put bird 1..N on its topics; `options` are those of a `BirdNode`."""
-        self._free = FreeBird(bird, configuration, factor, run_id, new_life())
+        self._free = FreeBird(bird, configuration, factor, run_id, new_incarnation())
         outlets = {
             Channel.WING: (BirdWing, topics.wing_topic(bird)),
             Channel.STAGE: (BirdStage, topics.stage_topic(bird)),
@@ -49,11 +49,11 @@ class FreeBirdNode(BirdNode):
 
     @property
     def due(self) -> float:
-        """When its next step is due, by the monotonic clock in s."""
+        """Time at which its next step is due, by the monotonic clock, in s."""
         return self._free.due
 
     def tick(self) -> bool:
-        """Take the step that is due, if one is, on all that has come; return whether one was."""
+        """Take the step that is due, with all received messages; return whether one was due."""
         if time.monotonic() < self._free.due:
             return False
         self._take_all_stages()
@@ -61,7 +61,7 @@ class FreeBirdNode(BirdNode):
         return True
 
     def _take_all_stages(self) -> bool:
-        """Take what neighbours have said; before it is known of which run it must be, leave it."""
+        """Take the neighbours' messages; leave them in the queues while the run is unknown."""
         free = self._free
         ignored, taken = free.ignored, 0
         if free.joined:
@@ -77,13 +77,13 @@ def keep_ticking(
     birds: Sequence[FreeBirdNode],
     executor: Executor,
     stop: Stop,
-    patience: Patience,
+    watchdog: Watchdog,
     look_around: Callable[[], bool],
 ) -> None:
     """Let each of `birds` take its steps when they are due, to the end of the flight.
 
-    Between them the executor waits. Calls `look_around` all the time; it returns whether anything
-    came. Returns early on `stop`. Raises RunFailed when `patience` runs out, or somebody has died.
+    The executor waits between steps. Each turn calls `look_around`, which returns whether a message
+    came. Returns early on `stop`. Raises RunFailed if `watchdog` runs out or a node has died.
     """
     reports = 0
     while not stop:
@@ -92,14 +92,14 @@ def keep_ticking(
             moved |= bird.drain_rare()
             moved |= bird.tick()
         if moved:
-            patience.renew()
+            watchdog.reset()
             reports = 0
         elif all(bird.finished for bird in birds):
             return
         rest = min(bird.due for bird in birds) - time.monotonic()
         executor.spin_once(timeout_sec=min(max(rest, 0.0), REST))
-        if patience.silence > REPORT_EVERY * (reports + 1):
+        if watchdog.silence > REPORT_EVERY * (reports + 1):
             reports += 1
             for bird in birds:
                 bird.report()
-        patience.wait(lambda: next(bird.waiting_for for bird in birds if not bird.finished))
+        watchdog.wait(lambda: next(bird.waiting_for for bird in birds if not bird.finished))

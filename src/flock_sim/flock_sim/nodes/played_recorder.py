@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder of a flight that is played: what `flock play` publishes becomes an equal bag.
+"""The recorder of a played flight: it writes the messages of `flock play` to an equal bag.
 
-Recorded states are of no run: whoever has flown them, they are the same bytes. So this recorder
-follows no clock and says nothing to anybody: it takes the states of run 0, in their order, until
-it has them all. Its bag is one as `reference` writes it.
+Recorded states have run 0, so their bytes do not depend on the flight that produced them. So this
+recorder follows no clock and publishes nothing: it takes the states of run 0, in order, until it
+has all. Its bag has the form of one that `reference` writes.
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ from rclpy.context import Context
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import BirdState, BirdWing, Grant, Perturbation
-from flock_sim.command_line import note
-from flock_sim.core import messages, topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.terms import agree
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.endpoints import DrainedNode
-from flock_sim.nodes.process import Process, executing
-from flock_sim.recording import Recording, recording
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.epochs import NEVER
+from flock_sim.messages.handshake import check_handshake
+from flock_sim.protocol.session import refuses_push
+from flock_sim.recording.flight_writer import Recording, recording
+from flock_sim.recording.row_assembler import Row, RowAssembler
+from flock_sim.ros.endpoints import DrainedNode
+from flock_sim.ros.process import Process, executing
 
 WAIT = 0.004
-"""How long the recorder rests when nothing came, in s."""
+"""Wait of the recorder when no message has come, in s."""
 
 
 class PlayedRecorderNode(DrainedNode):
-    """Moves what is played from the topics through a ledger into the bag."""
+    """Moves played messages from the topics through a row assembler into the bag."""
 
     def __init__(self, configuration: FlockConfiguration, run: Recording, context: Context) -> None:
-        """Listen to what is played of a flock of `configuration`, and to the pushes it got."""
+        """Subscribe to the played states and pushes of a flock of `configuration`."""
         super().__init__(
             topics.RECORDER,
             namespace=topics.NAMESPACE,
@@ -44,10 +47,10 @@ class PlayedRecorderNode(DrainedNode):
             start_parameter_services=False,
             enable_rosout=False,
         )
-        self.ledger = Ledger(configuration, played=True)
+        self.assembler = RowAssembler(configuration, played=True)
         self._configuration = configuration
         self._run = run
-        self._heard: dict[int, int] = {}  # the last step that was heard of each bird
+        self._heard: dict[int, int] = {}  # the last step received from each bird
         self._pushes = self.subscribe_drained(Perturbation, topics.PERTURBATION_TOPIC)
         self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
         self._times = self.subscribe_drained(Clock, topics.CLOCK_TOPIC)
@@ -64,22 +67,24 @@ class PlayedRecorderNode(DrainedNode):
 
     @property
     def connected(self) -> bool:
-        """Whether somebody plays every topic that is recorded."""
+        """Whether every recorded topic has a publisher."""
         inlets = [self._times, *(inlet for inlet, _, _ in self._sources)]
         return all(inlet.connected for inlet in inlets)
 
     @property
     def waiting_for(self) -> str:
-        """What the recorder needs to go on, in words."""
+        """What the recorder needs to continue, as text."""
         if not self.connected:
             return "somebody who plays all birds and /clock"
-        names = ", ".join(topics.bird_name(bird) for bird in self.ledger.waiting_for)
-        return f"step {self.ledger.saved + self._configuration.record_every} of {names or '/clock'}"
+        names = ", ".join(topics.bird_name(bird) for bird in self.assembler.waiting_for)
+        return (
+            f"step {self.assembler.saved + self._configuration.record_every} of {names or '/clock'}"
+        )
 
     def drain(self) -> bool:
-        """Take everything that has come; return whether anything has.
+        """Take all messages; return whether any came.
 
-        Raises FlockError where another flock is played, RunFailed where something was missed.
+        Raises FlockError if another flock is played, and RunFailed if a state was missed.
         """
         taken = 0
         while (data := self._grants.take()) is not None:
@@ -87,27 +92,28 @@ class PlayedRecorderNode(DrainedNode):
         while (data := self._pushes.take()) is not None:
             taken += self._take(self._hear_push, data)
         while (data := self._times.take()) is not None:
-            taken += self._take(self.ledger.add_time, data)
+            taken += self._take(self.assembler.add_time, data)
         for inlet, hear, bird in self._sources:
             while (data := inlet.take()) is not None:
                 taken += self._take(hear, bird, data)
         return taken > 0
 
     def _take(self, hear: Callable[..., list[Row]], *what: object) -> int:
-        """Write what is complete with a message; return 1. One that no flock sends is left out."""
+        """Write the rows that a message completes; return 1. A malformed message is ignored."""
         with suppress(ValueError):
             for row in hear(*what):
                 self._run.write_row(row)
         return 1
 
     def _hear_grant(self, data: bytes) -> list[Row]:
-        """Raises FlockError where what is played, and has grants, is not what we are told."""
-        agree("the recorder", self._configuration, messages.Grant.decode(data).terms, 0.0)
+        """Raise FlockError if a played grant does not match our configuration."""
+        check_handshake("the recorder", self._configuration, messages.Grant.decode(data).terms, 0.0)
         return []
 
     def _hear_push(self, data: bytes) -> list[Row]:
         push = messages.Push.decode(data)
-        if push.number not in self._run.live:
+        refused = refuses_push(push, self._configuration, NEVER)
+        if not refused and push.number not in self._run.live:
             self._run.write_perturbation(push)
         return []
 
@@ -119,11 +125,11 @@ class PlayedRecorderNode(DrainedNode):
                 f"{topics.bird_name(bird)} is played with span ratio {played} and the recorder is "
                 f"told {told}: give it the configuration that was flown"
             )
-        return self.ledger.add_wing(bird, data)
+        return self.assembler.add_wing(bird, data)
 
     def _hear_state(self, bird: int, data: bytes) -> list[Row]:
-        rows = self.ledger.add_state(bird, data)
-        if messages.State.envelope(data) == (0, 0):  # else it is flown, by somebody else
+        rows = self.assembler.add_state(bird, data)
+        if messages.State.envelope(data) == (0, 0):  # otherwise it belongs to a flight in progress
             step, every = messages.State.step_of(data), self._configuration.record_every
             last = self._heard.get(bird, -every)
             if step > last + every:
@@ -137,7 +143,7 @@ class PlayedRecorderNode(DrainedNode):
 
 
 def check_played(operation: Mapping[str, Any]) -> None:
-    """Raise FlockError where something is asked for that there is not when a flight is played."""
+    """Raise FlockError if an option is given that a played flight does not support."""
     for name in ("resume", "record_stages", "real_time_factor", "run_id"):
         if operation[name]:
             raise FlockError(
@@ -146,25 +152,27 @@ def check_played(operation: Mapping[str, Any]) -> None:
             )
 
 
-def record_played(process: Process, output: Path) -> None:
-    """Record a flight that is played into `output`, until it is whole or `process` is to stop.
+def record_played(process: Process, output: Path, replace: bool) -> None:
+    """Record a played flight into `output`, until it is complete or `process` must stop.
 
-    Raises RunFailed where a state was missed, or nothing comes for long.
+    `replace`: an existing bag stays until the first state is on disk.
+
+    Raises RunFailed if a state was missed, or if the watchdog runs out.
     """
-    configuration, patience, connected = process.configuration, process.patience(), False
+    configuration, watchdog, connected = process.configuration, process.watchdog(), False
     with (
-        recording(output, configuration, grants=False, live=True) as run,
+        recording(output, configuration, grants=False, live=True, replace=replace) as run,
         executing(process.operation["executor"], process.context) as executor,
     ):
         node = PlayedRecorderNode(configuration, run, process.context)
         executor.add_node(node)
         process.settle()
-        while not process.stop and not node.ledger.complete:
+        while not process.stop and not node.assembler.complete:
             if node.drain():
-                patience.renew()
+                watchdog.reset()
                 continue
             executor.spin_once(timeout_sec=WAIT)
             if node.connected and not connected:
                 connected = True
                 note("all birds and /clock are heard")
-            patience.wait(lambda: f"the recorder waits for {node.waiting_for}")
+            watchdog.wait(lambda: f"the recorder waits for {node.waiting_for}")

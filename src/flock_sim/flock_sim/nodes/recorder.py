@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a ROS 2 node: puts every recorded state on disk, and says how far it has come.
+"""The recorder as a ROS 2 node: it writes every recorded state to disk, and reports its progress.
 
-What is on disk is the checkpoint: at the beginning of an epoch it tells everybody where that is.
+The last step on disk is the checkpoint. The recorder publishes it at the beginning of an epoch.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rclpy.context import Context
@@ -27,39 +29,65 @@ from flock_interfaces.msg import (
     Perturbation,
     Progress,
 )
-from flock_sim.bag.output import claim_output
-from flock_sim.core import messages, topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.free_flight import GONE, NO_WAY_BACK, check_free
-from flock_sim.core.ledger import Ledger, Row
-from flock_sim.core.stage_inbox import FOREIGN, MALFORMED, NEVER, STALE
-from flock_sim.core.terms import agree
+from flock_sim.bag.writing.partial_bag import recorded_in
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import note
+from flock_sim.console.signals import Stop
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.nodes.complaints import Complaints
-from flock_sim.nodes.diagnostics import Diagnostics, Status, ignored
-from flock_sim.nodes.endpoints import DrainedNode, latched
-from flock_sim.nodes.parameters import OF_ALL, declare
-from flock_sim.nodes.patience import Patience
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.messages.epochs import NEVER, ahead
+from flock_sim.messages.rejection import FOREIGN, MALFORMED, REPEATED, STALE
 from flock_sim.nodes.played_recorder import check_played, record_played
-from flock_sim.nodes.process import Process, executing, new_life, run_node
-from flock_sim.recording import Recording, recording
-from flock_sim.stop import Stop
+from flock_sim.protocol.free_flight import GONE, check_free
+from flock_sim.protocol.session import Session, refuses_push
+from flock_sim.recording.flight_writer import Recording, recording
+from flock_sim.recording.output_directory import own_bag, own_output
+from flock_sim.recording.row_assembler import Row, RowAssembler
+from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
+from flock_sim.ros.endpoints import DrainedNode, Inlet, latched
+from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.process import Process, executing, new_incarnation, run_node
+from flock_sim.ros.rejection_warnings import RejectionWarnings
+from flock_sim.ros.watchdog import Watchdog
 
 WAIT = 0.004
-"""How long the recorder rests when nothing came, in s: many messages are cheaper at a time."""
+"""Wait of the recorder when no message has come, in s: batches of messages are cheaper."""
+
+LONGEST_WAIT = 0.02
+"""The same, in s, if listeners fetch the states in batches some time after publication."""
+
+LOOK_EVERY = 0.25
+"""Time between looks at all topics, in s, also at those on which no message is due. So messages of
+other publishers do not fill the queues."""
+
+CHECK_EVERY = 1.0
+"""Time between checks that the file still exists and has the recorded content, in s."""
 
 REPORT_EVERY = 1.0
-"""How often, in s, a recorder that waits says how far it has come."""
+"""Time between two reports of a waiting recorder, in s."""
 
 GOODBYE = 10.0
-"""How long, in s, a recorder that has everything stays for a clock that does not know it yet."""
+"""Longest time that a complete recorder stays for the clock to learn of it, in s."""
 
 LINGER = 0.5
-"""How long, in s, a row that is complete may stay off the disk when no others follow."""
+"""Longest time before a complete row goes on disk when no others follow, in s."""
+
+
+MOST_ASKED = 16
+"""Most pushes kept before an epoch begins with them."""
+
+
+class Source(NamedTuple):
+    """A topic of one bird, and the function that takes its messages."""
+
+    inlet: Inlet
+    add: Callable[[int, bytes], list[Row]]
+    bird: int
 
 
 class RecorderNode(DrainedNode):
-    """The recorder: moves messages from the topics through a ledger into the bag."""
+    """The recorder: moves messages from the topics through a row assembler into the bag."""
 
     def __init__(
         self,
@@ -72,10 +100,10 @@ class RecorderNode(DrainedNode):
         context: Context | None = None,
         services: bool = False,
     ) -> None:
-        """Listen to a flock of `configuration`; `run_id` 0: that of the first grant heard.
+        """Subscribe to a flock of `configuration`; `run_id` 0: the run of the first grant.
 
-        `factor` is the real-time factor of a free flight. `services`: with rosout and those for
-        parameters.
+        `factor` is the real-time factor of a free flight. `services`: with rosout and the parameter
+        services.
         """
         super().__init__(
             topics.RECORDER,
@@ -84,18 +112,22 @@ class RecorderNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.ledger = Ledger(configuration, record_stages, run.saved, factor > 0.0)
+        self.assembler = RowAssembler(configuration, record_stages, run.saved, factor > 0.0)
         self.released = False
-        """Whether the clock has said that the run is over."""
+        """Whether the clock has ended the run."""
         self._configuration = configuration
-        self._factor = factor
         self._run = run
-        self._run_id = run_id
-        self._epoch = NEVER
-        self._leave: tuple[int, int] = (NEVER, 0)  # epoch and step of the last grant
-        self._life = new_life()
-        self._joined = False  # has told everybody where the epoch begins
+        self._session = Session("the recorder", configuration, run_id, factor)
+        self._granted = -1  # the furthest granted step of this epoch
+        self._incarnation = new_incarnation()
+        self._joined = False  # has published where the epoch begins
+        self._look_at = 0.0  # monotonic time of the next look at all topics, in s
+        self.rest = min(LONGEST_WAIT, topics.fetch_period(configuration) or WAIT)
+        """Wait when no message has come, in s."""
+        if record_stages:  # the flock is never far ahead of the disk
+            self.rest = WAIT
         self._unsafe_since: float | None = None
+        self._check_at = 0.0  # monotonic time of the next check of the file, in s
         self._rows = 0
         self._rows_at_once = max(
             1, topics.steps_ahead(configuration, record_stages) // configuration.record_every // 4
@@ -105,30 +137,42 @@ class RecorderNode(DrainedNode):
         self._grants = self.subscribe_drained(Grant, topics.GRANT_TOPIC)
         self._times = self.subscribe_drained(Clock, topics.CLOCK_TOPIC)
         self._perturbations = self.subscribe_drained(Perturbation, topics.PERTURBATION_TOPIC)
-        self._wanted = 0  # number of the last perturbation that this epoch is to know
-        self._complaints = Complaints(self.get_name(), self.ledger.ignored_for)
+        self._wanted = 0  # number of the last perturbation of this epoch
+        self._asked: dict[int, messages.Push] = {}  # by number: pushes that no epoch has yet
+        self._rejection_warnings = RejectionWarnings(self.get_name(), self.assembler.ignored_for)
         self._diagnostics = Diagnostics(self)
         birds = range(1, configuration.birds + 1)
-        sources: list[tuple[type, Callable[[int], str], Callable[[int, bytes], list[Row]]]] = [
-            (BirdWing, topics.wing_topic, self._hear_wing),
-            (BirdState, topics.state_topic, self.ledger.add_state),
-        ]
+        self._wings = self._listen(BirdWing, topics.wing_topic, self._hear_wing, birds)
+        remember = [bird for bird in birds if configuration.link_table.remembers(bird)]
+        self._sources = self._listen(BirdState, topics.state_topic, self.assembler.add_state, birds)
+        self._states = len(self._sources)
         if factor:
-            sources.append((BirdAges, topics.ages_topic, self.ledger.add_ages))
+            self._sources += self._listen(
+                BirdAges, topics.ages_topic, self.assembler.add_ages, birds
+            )
         else:
-            sources.append((BirdMemory, topics.memory_topic, self.ledger.add_memory))
+            self._sources += self._listen(
+                BirdMemory, topics.memory_topic, self.assembler.add_memory, remember
+            )
         if record_stages:
-            sources.append((BirdStage, topics.stage_topic, self.ledger.add_stage))
-        self._sources = [
-            (self.subscribe_drained(kind, topic(bird)), add, bird)
-            for kind, topic, add in sources
-            for bird in birds
-            if kind is not BirdMemory or configuration.linkage.remembers(bird)
-        ]
+            self._sources += self._listen(
+                BirdStage, topics.stage_topic, self.assembler.add_stage, birds
+            )
+        self._place = 0  # index of the next source
+        self._not_found = [source.inlet for source in (*self._wings, *self._sources)]
+
+    def _listen(
+        self,
+        kind: type,
+        topic: Callable[[int], str],
+        add: Callable[[int, bytes], list[Row]],
+        birds: Iterable[int],
+    ) -> list[Source]:
+        return [Source(self.subscribe_drained(kind, topic(bird)), add, bird) for bird in birds]
 
     def drain(self) -> bool:
-        """Take everything that has come; return whether any of it was of this run."""
-        ignored, taken = self.ledger.ignored, 0
+        """Take all messages; return whether any was accepted."""
+        ignored, taken = self.assembler.ignored, 0
         while (data := self._grants.take()) is not None:
             taken += 1
             self._hear_grant(data)
@@ -136,53 +180,92 @@ class RecorderNode(DrainedNode):
             taken += 1
             self._hear_perturbation(data)
         if self._joined:
-            for inlet, add, bird in self._sources:
-                while (data := inlet.take()) is not None:
-                    taken += 1
-                    self._add(add, bird, data)
-            while (data := self._times.take()) is not None:
-                taken += 1
-                self._add(self.ledger.add_time, data)
+            taken += self._take_rows()
         else:
             self._make_room()
             self._join()
-        return taken > self.ledger.ignored - ignored
+        return taken > self.assembler.ignored - ignored
+
+    def _take_rows(self) -> int:
+        """Take the messages that make up rows; return their number.
+
+        No row is complete before every bird has sent its state. So the recorder waits for the next
+        bird whose state is missing, and looks at all other topics only every LOOK_EVERY s.
+        """
+        taken = 0
+        while (data := self._times.take()) is not None:
+            taken += 1
+            self._add(self.assembler.add_time, data)
+        thorough = self._all_due()
+        if thorough or self.assembler.lacks_wings:
+            taken += sum(map(self._take_all, self._wings))
+        for _ in self._sources:
+            source = self._sources[self._place]
+            came = self._take_all(source)
+            taken += came
+            due = self._place < self._states and self.assembler.lacks_state(source.bird)
+            if due and not (came or thorough):
+                break
+            self._place = (self._place + 1) % len(self._sources)
+        return taken
+
+    def _all_due(self) -> bool:
+        """Whether the next look at all topics is due."""
+        now = time.monotonic()
+        due = now >= self._look_at
+        if due:
+            self._look_at = now + LOOK_EVERY
+        return due
+
+    def _take_all(self, source: Source) -> int:
+        """Take all messages of one topic; return their number."""
+        taken = 0
+        while (data := source.inlet.take()) is not None:
+            taken += 1
+            self._add(source.add, source.bird, data)
+        return taken
 
     @property
     def finished(self) -> bool:
-        """Whether all is on disk, and the clock knows."""
-        return self.ledger.complete and self.released
+        """Whether all rows are on disk, and the clock has ended the run."""
+        return self.assembler.complete and self.released
 
     def look_around(self) -> None:
-        """Tell of what is amiss, and how far the recorder has come."""
-        self._complaints.tell()
+        """Publish rejection warnings and diagnostics, and check the file.
+
+        Raises RunFailed if the file does not have the recorded content.
+        """
+        if time.monotonic() >= self._check_at:
+            self._check_at = time.monotonic() + CHECK_EVERY
+            self._run.bag.check()
+        self._rejection_warnings.tell()
         self._diagnostics.tell(self._status)
 
     def report(self) -> None:
-        """Say again how far it has come: a clock that was started again does not know."""
+        """Repeat the progress report, for a clock that was restarted."""
         if self._joined:
             self._tell(self._run.saved)
 
     def keep_safe(self) -> None:
-        """Put on disk what has waited long enough, or is enough, and say so."""
+        """Write rows to disk if they are many or have waited for LINGER, and report it."""
         if self._unsafe_since is not None:
             waited = time.monotonic() - self._unsafe_since
-            if self.ledger.complete or self._rows >= self._rows_at_once or waited > LINGER:
+            if self.assembler.complete or self._rows >= self._rows_at_once or waited > LINGER:
                 self._save()
                 self._tell(self._run.saved)
-        if self.ledger.complete:
+        if self.assembler.complete_to(self._configuration.steps):
             self._run.close()
 
     @property
     def waiting_for(self) -> str:
-        """What the recorder needs to go on, in words."""
-        if self._epoch == NEVER:
+        """What the recorder needs to continue, as text."""
+        if self._session.epoch == NEVER:
             return "the clock's first grant"
         if not self._joined:
             return ", ".join(self._unfound()) or "the clock's perturbation"
-        if self.ledger.complete:
+        if self.assembler.complete:
             return "the clock's word that the run is over"
-        names = [topics.bird_name(bird) for bird in self.ledger.waiting_for]
+        names = [topics.bird_name(bird) for bird in self.assembler.waiting_for]
         return ", ".join(names) or "the clock"
 
     def _save(self) -> None:
@@ -190,72 +273,105 @@ class RecorderNode(DrainedNode):
         self._unsafe_since, self._rows = None, 0
 
     def _hear_grant(self, data: bytes) -> None:
+        session = self._session
         try:
             grant = messages.Grant.decode(data)
-            foreign = self._run_id not in (0, grant.run_id)
-            if foreign or grant.epoch < self._epoch:
-                self.ledger.ignored_for[FOREIGN if foreign else STALE] += 1
-                return
-            if self._epoch == NEVER:
-                agree("the recorder", self._configuration, grant.terms, self._factor)
         except ValueError:
-            self.ledger.ignored_for[MALFORMED] += 1
+            self.assembler.ignored_for[MALFORMED] += 1
             return
-        if grant.epoch > self._epoch:
+        reason = session.refuses_grant(grant)
+        recorded = self._last_epoch(grant.run_id)
+        if not reason and session.epoch == NEVER and ahead(grant.epoch, recorded) < 0:
+            # The clock is a new one, and must begin an epoch later than those in the bag.
+            self._tell(self._run.saved, grant.run_id, recorded)
+            reason = STALE
+        if reason:
+            self.assembler.ignored_for[reason] += 1
+            return
+        new = session.take_grant(grant)
+        if new:
             self.released = False
             self._begin(grant)
         self.released |= grant.step > grant.end
-        self.ledger.end_at(grant.end)
-        if (grant.epoch, grant.step) > self._leave and not self.ledger.complete:
-            self._leave = (grant.epoch, grant.step)
+        self.assembler.end_at(grant.end)
+        if grant.step > self._granted and not self.assembler.complete:
+            self._granted = grant.step
             self._run.write_grant(data)
+            if new:
+                self._save()  # a later recorder must know the epoch
+
+    def _last_epoch(self, run_id: int) -> int:
+        """Return the last epoch in the bag, of this run or with a push; NEVER without one."""
+        with_push, grant = next(reversed(self._run.live), NEVER), self._run.last_grant
+        if grant is None or grant.run_id != run_id or ahead(grant.epoch, with_push) < 0:
+            return with_push
+        return grant.epoch
 
     def _begin(self, grant: messages.Grant) -> None:
-        """Begin an epoch: what is complete goes on disk, what is not comes again.
-
-        Raises RunFailed in a free flight that has begun: what was can't come again.
-        """
-        if self._factor and self._leave[1] > 0:
-            raise RunFailed(f"the recorder: {NO_WAY_BACK}")
-        self._run_id, self._epoch = grant.run_id, grant.epoch
+        """Begin an epoch: complete rows go on disk, the birds send the others again."""
+        self._granted = -1
         self._wanted = grant.perturbation
-        if not self.ledger.complete:
+        if not self._run.closed:
             self._save()
-        self.ledger.begin(self._run_id, self._epoch)
+        self.assembler.begin(grant.run_id, grant.epoch)
         self._joined = False
+        self._not_found = [source.inlet for source in (*self._wings, *self._sources)]
         self._join()
 
     def _join(self) -> None:
-        """Say where the epoch begins, once every bird's topics have been found.
+        """Publish where the epoch begins, once every bird's topics have been discovered.
 
-        A bird that ends would otherwise take along what it had latched for us.
+        Otherwise messages latched by a bird would be lost to us when it ends.
         """
-        told = self._wanted in (0, *self._run.live)
-        if self._epoch != NEVER and told and (self.ledger.complete or not self._unfound()):
-            self._joined = True
+        told = self._wanted in (0, *self._run.live, *self._asked)
+        if self._session.epoch != NEVER and told and (self.assembler.complete or self._found_all()):
+            self._joined = self._session.flying = True
+            self._place, self._look_at = 0, 0.0
+            self._write_push()
             self._checkpoint.publish(self._where().encode())
             self._tell(self._run.saved)
 
-    def _make_room(self) -> None:
-        """Take what is of no epoch of ours, before a queue is full of it.
+    def _found_all(self) -> bool:
+        """Whether every bird's topics have been discovered, and still exist."""
+        lacking = self._not_found
+        while lacking and lacking[-1].connected:
+            lacking.pop()
+        return not (lacking or self._unfound())
 
-        Wings stay: they are said once, and it may not be known yet whose they must be.
+    def _make_room(self) -> None:
+        """Drop messages that belong to no epoch of ours before they fill a queue.
+
+        Wings stay: each is sent only once, and our run may not be known yet.
         """
-        flowing = (inlet for inlet, add, _ in self._sources if add != self._hear_wing)
-        for inlet in (self._times, *flowing):
-            while inlet.take() is not None:
-                pass
+        if self._all_due():
+            for inlet in (self._times, *(source.inlet for source in self._sources)):
+                while inlet.take() is not None:
+                    pass
 
     def _hear_perturbation(self, data: bytes) -> None:
-        """Put on disk a push that was asked for in flight."""
+        """Keep a push that was requested in flight until an epoch begins with it."""
         try:
             push = messages.Push.decode(data)
         except ValueError:
-            self.ledger.ignored_for[MALFORMED] += 1
+            self.assembler.ignored_for[MALFORMED] += 1
             return
-        if push.run_id != self._run_id:
-            self.ledger.ignored_for[FOREIGN] += 1
-        elif push.number not in self._run.live and not self.ledger.complete:
+        reason = refuses_push(push, self._configuration, self._run.saved)
+        if self._session.run_id not in (0, push.run_id):
+            reason = FOREIGN
+        if not reason and push.number in self._run.live:
+            reason = REPEATED
+        if reason:
+            self.assembler.ignored_for[reason] += 1
+            return
+        self._asked[push.number] = push
+        if len(self._asked) > MOST_ASKED:
+            del self._asked[next(iter(self._asked))]
+
+    def _write_push(self) -> None:
+        """Write the push that this epoch begins with to disk, and drop all others."""
+        push = self._asked.pop(self._wanted, None)
+        self._asked.clear()
+        if push is not None and push.run_id == self._session.run_id and not self._run.closed:
             self._run.write_perturbation(push)
             self._save()
 
@@ -263,13 +379,14 @@ class RecorderNode(DrainedNode):
         """Return the checkpoint of this epoch: the last row on disk."""
         states = [messages.State.decode(data) for data in self._run.checkpoint]
         memories = [messages.Memory.decode(data) for data in self._run.memories]
-        pushes = " ".join(str(push) for push in self._run.live.values())
+        pushes = " ".join(map(str, self._run.live.values()))
+        run_id, epoch = self._session.run_id, self._session.epoch
         if not states:
-            return messages.Checkpoint.of_start(self._run_id, self._epoch, pushes)
+            return messages.Checkpoint.of_start(run_id, epoch, pushes)
         return messages.Checkpoint(
-            self._run_id,
+            run_id,
             self._run.saved,
-            self._epoch,
+            epoch,
             np.concatenate([state.position for state in states]),
             np.concatenate([state.speed for state in states]),
             pushes,
@@ -277,15 +394,16 @@ class RecorderNode(DrainedNode):
         )
 
     def _unfound(self) -> list[str]:
-        """Return who has a topic that has not been found yet."""
-        inlets = [(inlet, topics.bird_name(bird)) for inlet, _, bird in self._sources]
+        """Return the names of the nodes with a topic that has not been discovered."""
+        sources = (*self._wings, *self._sources)
+        inlets = [(source.inlet, topics.bird_name(source.bird)) for source in sources]
         inlets.append((self._times, "the clock"))
         return sorted({who for inlet, who in inlets if not inlet.connected})
 
     def _hear_wing(self, bird: int, data: bytes) -> list[Row]:
         wing = messages.Wing.decode(data)
-        if wing.run_id != self._run_id:
-            self.ledger.ignored_for[FOREIGN] += 1
+        if wing.run_id != self._session.run_id:
+            self.assembler.ignored_for[FOREIGN] += 1
             return []
         if not np.array_equal(wing.span_ratio, self._configuration.span_ratio[bird - 1]):
             raise FlockError(
@@ -293,13 +411,13 @@ class RecorderNode(DrainedNode):
                 f"recorder is told {self._configuration.span_ratio[bird - 1]}: give both the same "
                 "configuration"
             )
-        return self.ledger.add_wing(bird, data)
+        return self.assembler.add_wing(bird, data)
 
     def _add(self, add: Callable[..., list[Row]], *what: object) -> None:
         try:
             self._write(add(*what))
         except ValueError:
-            self.ledger.ignored_for[MALFORMED] += 1
+            self.assembler.ignored_for[MALFORMED] += 1
 
     def _write(self, rows: list[Row]) -> None:
         for row in rows:
@@ -308,8 +426,10 @@ class RecorderNode(DrainedNode):
             if self._unsafe_since is None:
                 self._unsafe_since = time.monotonic()
 
-    def _tell(self, step: int) -> None:
-        progress = messages.Progress(self._run_id, step, self._epoch, topics.RECORDER, self._life)
+    def _tell(self, step: int, run_id: int = 0, epoch: int = 0) -> None:
+        """Report the last step on disk, by default in the current run and epoch."""
+        run_id, epoch = run_id or self._session.run_id, epoch or self._session.epoch
+        progress = messages.Progress(run_id, step, epoch, topics.RECORDER, self._incarnation)
         self._progress.publish(progress.encode())
 
     def _status(self) -> Status:
@@ -318,30 +438,30 @@ class RecorderNode(DrainedNode):
         return (
             self._joined,
             words if self._joined else f"waiting for {self.waiting_for}",
-            {"saved": saved, "epoch": self._epoch, **ignored(self.ledger.ignored_for)},
+            {"saved": saved, "epoch": self._session.epoch, **ignored(self.assembler.ignored_for)},
         )
 
 
-def record(node: RecorderNode, executor: Executor, stop: Stop, patience: Patience) -> None:
-    """Record until every row is on disk and the clock knows, or is gone. Returns early on `stop`.
+def record(node: RecorderNode, executor: Executor, stop: Stop, watchdog: Watchdog) -> None:
+    """Record until every row is on disk and the clock has ended the run or is gone.
 
-    Raises RunFailed when `patience` runs out, or the bag can't be written.
+    Returns early on `stop`. Raises RunFailed if `watchdog` runs out or the bag can't be written.
     """
     reports = 0
     while not stop and not node.finished:
         if node.drain():
-            patience.renew()
+            watchdog.reset()
             reports = 0
         else:
-            executor.spin_once(timeout_sec=WAIT)
-            if node.ledger.complete:
-                if patience.silence > GOODBYE:
+            executor.spin_once(timeout_sec=node.rest)
+            if node.assembler.complete:
+                if watchdog.silence > GOODBYE:
                     return
             else:
-                patience.wait(lambda: f"the recorder waits for {node.waiting_for}")
+                watchdog.wait(lambda: f"the recorder waits for {node.waiting_for}")
         node.keep_safe()
         node.look_around()
-        if patience.silence > REPORT_EVERY * (reports + 1):
+        if watchdog.silence > REPORT_EVERY * (reports + 1):
             reports += 1
             node.report()
 
@@ -358,23 +478,26 @@ def work(process: Process) -> None:
     output = Path(operation["output"])
     if operation["played"]:
         check_played(operation)
-    resume = operation["resume"] and output.is_dir()
-    if output.exists() and not resume and not operation["force"]:
-        raise FlockError(
-            f"output {output} exists: go on with it by -p resume:=true, replace it by "
-            "-p force:=true, or name another output"
+    with ExitStack() as owned:
+        resume, replace = _own(process, output, owned)
+        if operation["played"]:
+            record_played(process, output, replace)
+            return
+        run = owned.enter_context(
+            recording(
+                output,
+                configuration,
+                grants=True,
+                stages=stages,
+                resume=resume,
+                replace=replace,
+                factor=factor,
+            )
         )
-    if not resume:
-        claim_output(output, operation["force"])
-    if operation["played"]:
-        record_played(process, output)
-        return
-    with (
-        recording(
-            output, configuration, grants=True, stages=stages, resume=resume, factor=factor
-        ) as run,
-        executing(operation["executor"], process.context) as executor,
-    ):
+        executor = owned.enter_context(executing(operation["executor"], process.context))
+        if run.bag.aside is not None:
+            kept = run.bag.aside.name
+            note(f"{run.bag.path} is damaged or lacks steps, and is kept as {kept}")
         if factor and run.saved >= 0:
             raise FlockError(f"output {output}: {GONE}; name another output, or give force:=true")
         services = not process.supervised
@@ -392,7 +515,29 @@ def work(process: Process) -> None:
             declare(node, configuration, operation, own)
         executor.add_node(node)
         process.settle()
-        record(node, executor, process.stop, process.patience())
+        record(node, executor, process.stop, process.watchdog())
+
+
+def _own(process: Process, output: Path, owned: ExitStack) -> tuple[bool, bool]:
+    """Own the output; return whether to continue the existing bag, and whether to replace it.
+
+    Under `fly`, the process of `fly` owns the output and has begun the bag. Raises FlockError if
+    the output can't be used, and RunFailed if the bag that `fly` has begun is gone.
+    """
+    operation = process.operation
+    if process.supervised and operation["resume"]:
+        if not output.is_dir() or recorded_in(output) is None:
+            raise RunFailed(f"recording to {output} failed: it was removed or moved")
+        return True, False
+    if operation["resume"] and output.is_dir():
+        owned.enter_context(own_bag(output))
+        return True, False
+    if output.exists() and not operation["force"]:
+        raise FlockError(
+            f"output {output} exists: go on with it by -p resume:=true, replace it by "
+            "-p force:=true, or name another output"
+        )
+    return False, owned.enter_context(own_output(output, operation["force"])).replaces
 
 
 _main = run_node(

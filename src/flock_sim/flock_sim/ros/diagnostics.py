@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes tell of themselves on /diagnostics, once a second."""
+"""Reports of the nodes on /diagnostics, once a second."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EVERY = 1.0
 QUEUE = 10
 
 Status = tuple[bool, str, Mapping[str, object]]
-"""Whether all is well, how it is in a few words, and some values."""
+"""Whether the node is well, a short text, and some values."""
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 
@@ -31,7 +31,7 @@ class Diagnostics:
         self._due = time.monotonic()
 
     def tell(self, status: Callable[[], Status]) -> None:
-        """Report if it is time to."""
+        """Publish a report if one is due."""
         now = time.monotonic()
         if now < self._due:
             return

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stopwatch around what a process of birds does, for flights in which somebody asks for it.
+"""A stopwatch for the work of a process of birds, used only on request.
 
-It wraps the kernel and the birds: a flight that nobody times is not slowed by it.
+It wraps the kernel and the birds, so it does not slow a flight without it.
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ from typing import Any
 
 from rclpy.executors import Executor
 
-from flock_sim.core.bird_step import StageKernel
-from flock_sim.nodes.drain import Flier, keep_flying
-from flock_sim.nodes.patience import Patience
-from flock_sim.stop import Stop
-from flock_sim.times import Times
+from flock_sim.console.signals import Stop
+from flock_sim.protocol.bird_kernel import StageKernel
+from flock_sim.ros.spin import Flier, keep_flying
+from flock_sim.ros.time_breakdown import TimeBreakdown
+from flock_sim.ros.watchdog import Watchdog
 
 
 class Stopwatch:
     """Times all birds of one process."""
 
     def __init__(self) -> None:
-        """Stand at zero: the time begins with the first stage."""
+        """Start at zero; the time begins with the first stage."""
         self._begun: float | None = None
         self._ended = 0.0
         self._kernel = 0.0
         self._busy = 0.0
 
     @property
-    def times(self) -> Times:
-        """Where the time went, from the first stage to the last so far."""
+    def times(self) -> TimeBreakdown:
+        """The time breakdown from the first stage to the last one so far."""
         if self._begun is None:
-            return Times(0.0, 0.0, 0.0)
+            return TimeBreakdown(0.0, 0.0, 0.0)
         waiting = self._ended - self._begun - self._busy
-        return Times(self._kernel, self._busy - self._kernel, max(0.0, waiting))
+        return TimeBreakdown(self._kernel, self._busy - self._kernel, max(0.0, waiting))
 
     def around(self, kernel: StageKernel) -> StageKernel:
-        """Return `kernel` with the watch around it."""
+        """Return `kernel` with time measurement."""
 
         def timed(*arguments: Any) -> None:
             begun = perf_counter()
@@ -55,19 +55,19 @@ class Stopwatch:
         birds: Sequence[Flier],
         executor: Executor,
         stop: Stop,
-        patience: Patience,
+        watchdog: Watchdog,
         look_around: Callable[[], bool],
     ) -> None:
-        """Do as `drain.keep_flying`, with the watch around all that they find to do."""
+        """Call `spin.keep_flying`, and measure the time of all work of the birds."""
         watched = [self.watched(bird) for bird in birds]
-        keep_flying(watched, executor, stop, patience, lambda: self.fruitful(look_around))
+        keep_flying(watched, executor, stop, watchdog, lambda: self.fruitful(look_around))
 
     def watched(self, bird: Flier) -> Flier:
-        """Return `bird` with the watch around all that it finds to do."""
+        """Return `bird` with time measurement of all its work."""
         return _Watched(bird, self.fruitful)
 
     def fruitful(self, work: Callable[[], bool]) -> bool:
-        """Do `work`, and count its time where it came upon something to do."""
+        """Do `work`, and count its time if it returns True."""
         begun = perf_counter()
         moved = work()
         if moved and self._begun is not None:
@@ -76,7 +76,7 @@ class Stopwatch:
 
 
 class _Watched:
-    """A bird whose time is taken."""
+    """A bird whose work is timed."""
 
     def __init__(self, bird: Flier, fruitful: Callable[[Callable[[], bool]], bool]) -> None:
         self._bird, self._fruitful = bird, fruitful

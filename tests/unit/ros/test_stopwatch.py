@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the time of a process of birds went is told in parts that make up the whole."""
+"""The measured parts of a bird process's time add up to the whole."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from flock_sim.errors import FlockError
-from flock_sim.nodes import stopwatch
-from flock_sim.nodes.stopwatch import Stopwatch
-from flock_sim.times import Times
-from flock_tools.flown_limits import recorded_every
+from flock_sim.ros import stopwatch
+from flock_sim.ros.stopwatch import Stopwatch
+from flock_sim.ros.time_breakdown import TimeBreakdown
+from flock_tools.experiments.flown_limits import recorded_every
 
 
 class Watch:
@@ -58,7 +58,7 @@ def test_kernel_messages_and_waiting_are_all_of_the_time(monkeypatch: pytest.Mon
     bird = Bird(time, watch)
     watched, look = watch.watched(bird), lambda: watch.fruitful(bird.drain)
     assert not watched.drain_rare()  # before the first stage: no part of the flight
-    assert watch.times == Times(0.0, 0.0, 0.0)
+    assert watch.times == TimeBreakdown(0.0, 0.0, 0.0)
     assert watched.drain()  # its first 0.5 s, too
     assert not watched.drain_rare()
     watched.report()
@@ -68,16 +68,16 @@ def test_kernel_messages_and_waiting_are_all_of_the_time(monkeypatch: pytest.Mon
     assert look()
     # Stages: 2 s each. Messages: 0.25 s after each, 0.5 s before the second. Waiting: 11.5 s,
     # less the 0.25 s after the last stage, with which the flight ends.
-    assert watch.times == Times(4.0, 1.0, 11.25)
+    assert watch.times == TimeBreakdown(4.0, 1.0, 11.25)
 
 
 def test_times_of_processes_are_summed_and_shared_out(tmp_path: Path) -> None:
-    Times(1.0, 2.0, 3.0).write(tmp_path / "a.json")
-    Times(3.0, 0.0, 1.0).write(tmp_path / "b.json")
-    total = Times.sum(map(Times.read, sorted(tmp_path.iterdir())))
-    assert total == Times(4.0, 2.0, 4.0)
+    TimeBreakdown(1.0, 2.0, 3.0).write(tmp_path / "a.json")
+    TimeBreakdown(3.0, 0.0, 1.0).write(tmp_path / "b.json")
+    total = TimeBreakdown.sum(map(TimeBreakdown.read, sorted(tmp_path.iterdir())))
+    assert total == TimeBreakdown(4.0, 2.0, 4.0)
     assert total.shares() == {"kernel": 0.4, "messages": 0.2, "waiting": 0.4}
-    assert set(Times.sum([]).shares().values()) == {0.0}
+    assert set(TimeBreakdown.sum([]).shares().values()) == {0.0}
     with pytest.raises(FlockError, match="can't be written"):
         total.write(tmp_path / "missing" / "c.json")
 

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes say of messages that they ignore: each reason once in a process."""
+"""Rejection warnings: each reason to ignore messages is reported once per process."""
 
 from __future__ import annotations
 
 from collections import Counter
 
-from flock_sim.command_line import note
-from flock_sim.core.stage_inbox import AGAIN, STALE
+from flock_sim.console.arguments import note
+from flock_sim.messages.rejection import AGAIN, STALE
 
 
-class Complaints:
-    """Looks at the counts of ignored messages of one node, and warns of each reason once."""
+class RejectionWarnings:
+    """The rejection warnings of one node, from its counts of ignored messages."""
 
     def __init__(self, who: str, ignored_for: Counter[str], told: set[str] | None = None) -> None:
-        """Speak for `who`; `told` are the reasons that others of its process have told already.
+        """Warn for node `who`; `told` holds the reasons already reported in its process.
 
-        That messages go stale is how a flock recovers, and that birds which wait repeat what they
-        said is how it gets over a loss: neither is told.
+        Stale messages are normal in a recovery, and repeated messages of waiting birds are normal
+        after a loss. Neither is reported.
         """
         self._who = who
         self._ignored_for = ignored_for
@@ -24,7 +24,7 @@ class Complaints:
         self._told |= {AGAIN, STALE}
 
     def tell(self) -> None:
-        """Warn of reasons that are new; costs next to nothing where there are none."""
+        """Warn of new reasons; the cost is negligible if there are none."""
         if self._ignored_for.keys() <= self._told:
             return
         for reason in self._ignored_for.keys() - self._told:

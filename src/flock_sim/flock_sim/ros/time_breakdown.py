@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the time of the processes of birds went, from each process to who started them."""
+"""Time breakdown of the processes of birds, passed as files to the process that starts them."""
 
 from __future__ import annotations
 
@@ -12,32 +12,31 @@ from flock_sim.errors import FlockError
 
 
 @dataclass(frozen=True)
-class Times:
-    """Wall time in s, from the first stage of a flight to its last; of several processes, summed.
+class TimeBreakdown:
+    """Wall time in s, from the first stage of a flight to its last; for several processes, the sum.
 
-    It is measured by the clock on the wall, so it counts what a process waits for a processor
-    that others have, to whatever it was about to do.
+    It is wall time, so the wait for a busy processor counts to the work that was about to run.
     """
 
     kernel: float
-    """In the compiled functions that compute a stage."""
+    """Time in the compiled functions that compute a stage."""
     messages: float
-    """In taking, understanding, making and sending messages: all else that a process does."""
+    """Time to take, decode, encode and send messages: all other work of a process."""
     waiting: float
-    """In looking for messages in vain, and giving the processor away."""
+    """Time in polls that find no message, and in yields and sleeps."""
 
     @classmethod
-    def sum(cls, times: Iterable[Times]) -> Times:
+    def sum(cls, times: Iterable[TimeBreakdown]) -> TimeBreakdown:
         """Return the times of several processes, summed."""
         return cls(*map(sum, zip((0.0, 0.0, 0.0), *map(astuple, times))))
 
     @classmethod
-    def read(cls, file: Path) -> Times:
-        """Return what a process has written."""
+    def read(cls, file: Path) -> TimeBreakdown:
+        """Return the times that a process has written."""
         return cls(**json.loads(file.read_text(encoding="utf-8")))
 
     def write(self, file: Path) -> None:
-        """Write the times, to be read by `read`. Raises FlockError where that can't be."""
+        """Write the times for `read`. Raises FlockError if the file can't be written."""
         try:
             file.write_text(json.dumps(asdict(self)), encoding="utf-8")
         except OSError as error:
@@ -46,6 +45,6 @@ class Times:
             ) from error
 
     def shares(self) -> dict[str, float]:
-        """Return which part of all the time each of them is; of no time, none."""
+        """Return the share of each time in the total; 0 if the total is 0."""
         total = self.kernel + self.messages + self.waiting
         return {name: value / total if total else 0.0 for name, value in asdict(self).items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Somebody else on the ROS domain of a test's terminal: a node in the process of the test."""
+"""Another node on the ROS domain of a test's terminal, in the process of the test."""
 
 from __future__ import annotations
 
@@ -15,22 +15,27 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
-from flock_sim.discovery import PROFILES, prepare_discovery
-from flock_sim.nodes.departure import leave
-from flock_sim.nodes.endpoints import latched
-from flock_sim.nodes.process import ros_context
-from terminal import Terminal, ports
+from flock_sim.ros.discovery import PROFILES, prepare_discovery
+from flock_sim.ros.endpoints import latched
+from flock_sim.ros.fastdds_shutdown import leave
+from flock_sim.ros.process import ros_context
+from support.terminal import Job, Terminal, ports
 
 DEADLINE = 60.0
-"""Time, in s, within which a node must answer, or say what is waited for."""
+"""Longest wait for an answer or a message of a node, in s."""
+
+
+ASK_AGAIN = 1.0
+"""Time after which a request to a clock is repeated, in s."""
 
 
 class Visitor:
-    """Listens to a flock, asks it for things, and talks to it."""
+    """A node that listens to a flock, and calls its services."""
 
     def __init__(self, terminal: Terminal, context: Context) -> None:
-        """Be a node on the terminal's domain."""
+        """Create a node on the terminal's domain."""
         self.node = Node(
             "visitor", context=context, start_parameter_services=False, enable_rosout=False
         )
@@ -39,12 +44,12 @@ class Visitor:
         self._executor.add_node(self.node)
 
     def close(self) -> None:
-        """Leave."""
+        """Destroy the node."""
         self._executor.shutdown()
         leave(self.node.context, [self.node])
 
     def until(self, condition: Callable[[], Any]) -> Any:
-        """Serve the node until `condition` is true, and return what it gave."""
+        """Serve the node until `condition` is true, and return its value."""
         deadline = time.monotonic() + DEADLINE
         while not (value := condition()):
             assert time.monotonic() < deadline, self._what_is_known()
@@ -53,7 +58,7 @@ class Visitor:
         return value
 
     def ask(self, kind: Any, name: str, **request: Any) -> Any:
-        """Call a service, and return what it answers."""
+        """Call a service, and return its response."""
         client = self.node.create_client(kind, name)
         try:
             assert client.wait_for_service(DEADLINE), f"{name}: {self._what_is_known()}"
@@ -63,8 +68,28 @@ class Visitor:
         finally:
             self.node.destroy_client(client)
 
+    def stop(self, *jobs: Job) -> None:
+        """Have the clock of `jobs` stop the flight. All jobs must end without an error.
+
+        The request is repeated until it is answered: a killed clock stays discovered for a while,
+        and requests to it are lost.
+        """
+        client = self.node.create_client(Trigger, "/flock/clock/stop")
+        asked, futures = 0.0, []
+        deadline = time.monotonic() + DEADLINE
+        while not any(future.done() for future in futures):
+            assert time.monotonic() < deadline, self._what_is_known()
+            if time.monotonic() > asked + ASK_AGAIN:
+                asked = time.monotonic()
+                futures.append(client.call_async(Trigger.Request()))
+            self._executor.spin_once(timeout_sec=0.05)
+        assert next(future for future in futures if future.done()).result().success
+        self.until(lambda: not any(job.running for job in jobs))
+        for job in jobs:
+            assert job.wait().status == 0, job.stderr
+
     def _what_is_known(self) -> str:
-        """Return what tells apart why nothing was heard: others gone, or not found."""
+        """Return the known nodes and ports, to distinguish missing nodes from failed discovery."""
         listening = {pid: ports(pid) for pid in (os.getpid(), *self._terminal.processes())}
         return (
             f"not within {DEADLINE:g} s; nodes known: {self.node.get_node_names()}; "
@@ -72,13 +97,13 @@ class Visitor:
         )
 
     def hear(self, kind: Any, topic: str, *, raw: bool = False, depth: int = 100) -> list[Any]:
-        """Return a list that grows with the messages on a latched topic."""
+        """Return a list to which messages on a latched topic are appended."""
         heard: list[Any] = []
         self.node.create_subscription(kind, topic, heard.append, latched(depth), raw=raw)
         return heard
 
     def diagnostics(self, who: str) -> list[DiagnosticStatus]:
-        """Return a list that grows with what /diagnostics tells of `who`, once a second."""
+        """Return a list to which statuses of `who` on /diagnostics are appended, once a second."""
         heard: list[DiagnosticStatus] = []
 
         def hear(array: DiagnosticArray) -> None:
@@ -89,12 +114,12 @@ class Visitor:
 
 
 def values(status: DiagnosticStatus) -> dict[str, str]:
-    """Return what a status tells, by key."""
+    """Return the values of a status by key."""
     return {pair.key: pair.value for pair in status.values}
 
 
 def tell_fast_dds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have Fast DDS in this process know what the tools tell it: it reads that once."""
+    """Give Fast DDS in this process the tools' settings, which it reads only once."""
     for name in PROFILES:
         monkeypatch.setenv(name, "")
     prepare_discovery()
@@ -102,7 +127,7 @@ def tell_fast_dds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def visiting(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Visitor]:
-    """Give a visitor of what is started in `terminal`."""
+    """Give a visitor on the domain of `terminal`."""
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, terminal.environment[name])
     tell_fast_dds(monkeypatch)

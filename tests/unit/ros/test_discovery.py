@@ -6,16 +6,21 @@ from xml.etree import ElementTree
 
 import pytest
 
-from flock_sim.discovery import (
+from flock_sim.errors import FlockError
+from flock_sim.ros import discovery
+from flock_sim.ros.discovery import (
     ELSEWHERE,
+    LOCALHOST_ONLY,
     PROFILES,
     TRANSPORTS,
+    check_middleware,
     held_domain,
+    on_loopback_alone,
+    our_settings,
     own_domain,
     prepare_discovery,
     quiet_domains,
 )
-from flock_sim.errors import FlockError
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
@@ -23,8 +28,10 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
     """An environment that says nothing, and is as it was before once the test has ended."""
-    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", RANGE, *PROFILES, TRANSPORTS, *ELSEWHERE):
+    ros = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", RANGE, LOCALHOST_ONLY, *ELSEWHERE)
+    for name in (*ros, *PROFILES, TRANSPORTS):
         monkeypatch.setenv(name, "")
+    monkeypatch.setattr(discovery, "is_fast_dds_3", lambda: False)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +40,6 @@ def environment(monkeypatch):
         (True, "", "SUBNET"),
         (False, "SUBNET", "SUBNET"),
         (True, "SUBNET", "SUBNET"),
-        (False, "OFF", "OFF"),
         (True, "SYSTEM_DEFAULT", "SYSTEM_DEFAULT"),
     ],
 )
@@ -48,7 +54,7 @@ def test_others_are_looked_for_on_this_machine_unless_asked_otherwise(
 
 def told():
     """Which of our settings Fast DDS is told."""
-    return {Path(os.environ[name]).name for name in PROFILES}
+    return {Path(os.environ[name]).name for name in PROFILES if os.environ.get(name)}
 
 
 @pytest.mark.parametrize("said", ["", "LOCALHOST"])
@@ -78,6 +84,8 @@ def test_named_hosts_are_left_to_ros(monkeypatch, name):
 
 
 def test_another_middleware_is_told_the_range_and_nothing_else(monkeypatch):
+    installed = dict.fromkeys(("rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_implementation"), "/")
+    monkeypatch.setattr("ament_index_python.get_resources", lambda kind: installed)
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
     prepare_discovery()
     assert os.environ[RANGE] == "LOCALHOST"
@@ -91,11 +99,29 @@ def test_an_environment_that_is_against_the_network_is_not_overruled(monkeypatch
         prepare_discovery(network=True)
 
 
+@pytest.mark.parametrize("network", [False, True])
+def test_fast_dds_2_and_3_are_told_the_same_but_for_a_name(monkeypatch, network):
+    texts = []
+    for three, name in enumerate(PROFILES):
+        monkeypatch.setattr(discovery, "is_fast_dds_3", lambda three=three: bool(three))
+        prepare_discovery(network)
+        # The other one would be read, too, or refused.
+        assert [each for each in PROFILES if os.environ.get(each)] == [name]
+        assert our_settings()
+        assert on_loopback_alone() is not network
+        texts.append(Path(os.environ[name]).read_text(encoding="utf-8"))
+        for each in (RANGE, *PROFILES):
+            monkeypatch.setenv(each, "")
+    of_2, of_3 = texts
+    assert of_3 == of_2.replace("heartbeatPeriod>", "heartbeat_period>")
+    assert of_3 != of_2
+
+
 DDS = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
 
 
 def all_settings():
-    (file,) = {os.environ[name] for name in PROFILES}
+    (file,) = filter(None, (os.environ.get(name) for name in PROFILES))
     return ElementTree.parse(file)
 
 
@@ -151,10 +177,89 @@ def test_what_a_user_has_told_fast_dds_stays(monkeypatch, name, network):
     assert os.environ[name] == "mine"
 
 
-@pytest.mark.parametrize("domain", ["abc", "-1", "233", "1.5", "²"])
+@pytest.mark.parametrize("asked", ["rmw_cyclonedds_cpp", "rmw_implementation", "fastrtps", "../x"])
+def test_a_middleware_that_is_not_installed_is_refused_and_what_is_is_named(monkeypatch, asked):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", asked)
+    with pytest.raises(FlockError) as refused:
+        prepare_discovery()
+    assert f"RMW_IMPLEMENTATION = {asked}: is not installed here" in str(refused.value)
+    assert str(refused.value).endswith(": rmw_fastrtps_cpp")
+
+
+def test_without_an_index_ros_itself_has_to_find_its_middleware(monkeypatch):
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    check_middleware()
+
+
+def test_discovery_that_is_off_is_refused_since_no_flight_could_begin(monkeypatch):
+    monkeypatch.setenv(RANGE, "OFF")
+    with pytest.raises(FlockError, match=f"{RANGE} = OFF: .* LOCALHOST"):
+        prepare_discovery()
+
+
+@pytest.mark.parametrize("reach", ["", "LOCALHOST", "SUBNET"])
+def test_localhost_only_stays_on_this_machine_and_excludes_the_network(monkeypatch, reach):
+    monkeypatch.setenv(LOCALHOST_ONLY, "1")
+    monkeypatch.setenv(RANGE, reach)
+    with pytest.raises(FlockError, match="and --network exclude each other"):
+        prepare_discovery(network=True)
+    monkeypatch.setenv("ROS_STATIC_PEERS", "127.0.0.1")  # which it overrules in ROS, too
+    for _ in range(2):
+        prepare_discovery()
+        assert told() == {"machine.xml"}
+
+
+@pytest.mark.parametrize("said", ["", "0"])
+def test_localhost_only_that_is_not_set_says_nothing(monkeypatch, said):
+    monkeypatch.setenv(LOCALHOST_ONLY, said)
+    prepare_discovery(network=True)
+    assert told() == {"network.xml"}
+
+
+def unknown_host(host, port, *rest):
+    if host in ("nonsense", "no host"):
+        raise socket.gaierror
+    return []
+
+
+@pytest.mark.parametrize("said", ["nonsense", "127.0.0.1;nonsense", ";no host;"])
+def test_static_peers_that_are_no_hosts_are_refused(monkeypatch, said):
+    monkeypatch.setattr(socket, "getaddrinfo", unknown_host)
+    monkeypatch.setenv("ROS_STATIC_PEERS", said)
+    with pytest.raises(FlockError, match=f"ROS_STATIC_PEERS = {said}: .*no host that is known"):
+        prepare_discovery()
+
+
+@pytest.mark.parametrize("said", ["nonsense", "nonsense:11811", "127.0.0.1:port", ";127.0.0.1:-1"])
+def test_discovery_servers_that_are_no_hosts_are_refused(monkeypatch, said):
+    monkeypatch.setattr(socket, "getaddrinfo", unknown_host)
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", said)
+    with pytest.raises(FlockError, match="ROS_DISCOVERY_SERVER = "):
+        prepare_discovery()
+
+
+@pytest.mark.parametrize("said", ["127.0.0.1:11811", ";127.0.0.1", "TCPv4:[127.0.0.1]:42100"])
+def test_discovery_servers_may_be_written_in_all_ways_of_fast_dds(monkeypatch, said):
+    monkeypatch.setattr(socket, "getaddrinfo", unknown_host)
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", said)
+    prepare_discovery()
+
+
+@pytest.mark.parametrize(
+    "domain", ["abc", "-1", "233", "1.5", "²", "9" * 5000, " 43", "0x10", "+5"]
+)
 def test_a_domain_that_ros_does_not_have_is_refused(monkeypatch, domain):
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(FlockError, match=r"ROS_DOMAIN_ID = .*0\.\.232"):
+        prepare_discovery()
+
+
+@pytest.mark.parametrize("domain", ["043", "08", "00", "0000000001"])
+def test_a_domain_that_is_octal_to_some_is_refused(monkeypatch, domain):
+    # To Python 043 is 43, to the library of C that reads it for ROS it is 35.
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(FlockError, match=r"ROS_DOMAIN_ID = 0.*0\.\.232.*"):
         prepare_discovery()
 
 

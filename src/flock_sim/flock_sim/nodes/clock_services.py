@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The services by which a flight is operated: pause, resume, step, stop and perturb."""
+"""The services that control a flight: pause, resume, step, stop and perturb."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from flock_interfaces.srv import Perturb, Step
-from flock_sim.core.timekeeper import Message, Timekeeper
 from flock_sim.errors import FlockError
+from flock_sim.protocol.clock import Message, Timekeeper
 
 Response = TypeVar("Response", Trigger.Response, Step.Response, Perturb.Response)
 
@@ -22,7 +22,7 @@ class Control:
     def __init__(
         self, node: Node, keeper: Timekeeper, send: Callable[[Iterable[Message]], None]
     ) -> None:
-        """Offer the services on `node`; what the keeper then says goes out by `send`."""
+        """Offer the services on `node`; `send` publishes the messages that the keeper returns."""
         self._keeper = keeper
         self._send = send
         for kind, name, serve in (
@@ -36,7 +36,7 @@ class Control:
 
     def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._keeper.pause()
-        return _said(response, f"pausing at step {self._keeper.pauses_at}")
+        return _said(response, self._pausing())
 
     def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.resume())
@@ -52,7 +52,14 @@ class Control:
         if request.steps < 1:
             return _said(response, "steps = 0: must be 1 or more", success=False)
         self._send(self._keeper.take_steps(request.steps))
-        return _said(response, f"pausing at step {self._keeper.pauses_at}")
+        return _said(response, self._pausing())
+
+    def _pausing(self) -> str:
+        keeper = self._keeper
+        if keeper.leave_known:
+            return f"pausing at step {keeper.pauses_at}"
+        after = f"{keeper.steps_asked} steps after " if keeper.steps_asked else ""
+        return f"pausing {after}where the flight begins or goes on, once all are there"
 
     def _perturb(self, request: Perturb.Request, response: Perturb.Response) -> Perturb.Response:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How nodes reach topics: quality of service, and subscriptions that are drained by hand."""
+"""Access of nodes to topics: quality of service, and subscriptions drained by the node."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -15,13 +16,13 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from flock_sim.stop import Stop
+from flock_sim.console.signals import Stop
 
 
 def latched(depth: int) -> QoSProfile:
-    """Return a reliable profile whose last `depth` messages also reach those who come later.
+    """Return a reliable profile whose last `depth` messages also reach late joiners.
 
-    All of Flock's topics are of this kind: nobody has to be up before anybody else.
+    All of Flock's topics have this kind of profile, so nodes may start in any order.
     """
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE,
@@ -36,19 +37,19 @@ ALL = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
     history=HistoryPolicy.KEEP_ALL,
 )
-"""How Flock's nodes listen: to everything. A queue of the last few would lose what a neighbour said
-when somebody else, another flock say, talks much on the same topic.
+"""QoS of Flock's subscriptions: keep all messages. A short queue would lose a neighbour's message
+if another publisher, such as another flock, sends many on the same topic.
 
-It has no limit, by our settings for Fast DDS (`discovery.py`): by default it holds 5000, turns away
-what comes then, and of a writer in the same process never asks for it again. What is not waited for
-is taken out of it, too."""
+Our settings for Fast DDS (`discovery.py`) remove its limit. By default the queue holds 5000,
+rejects further messages, and never requests them again from a writer in the same process. Nodes
+also take out messages that they do not wait for."""
 
 
 def wait_until_heard(outlets: Iterable[Publisher], stop: Stop | bool, limit: float) -> None:
-    """Wait until all who listen to `outlets` have their messages, for `limit` s or until `stop`.
+    """Wait until all listeners of `outlets` have their messages, for `limit` s or until `stop`.
 
-    Whoever has not taken them by then, a suspended `ros2 topic echo` or somebody who was killed, is
-    left behind.
+    A listener that has not taken them by then is ignored: it may be a killed process, or a
+    suspended `ros2 topic echo`.
     """
     deadline = time.monotonic() + limit
     for outlet in outlets:
@@ -57,18 +58,31 @@ def wait_until_heard(outlets: Iterable[Publisher], stop: Stop | bool, limit: flo
                 break
 
 
-class DrainedNode(Node):
-    """A node some of whose subscriptions no executor serves: it takes their messages itself.
+class _Silence:
+    """Replaces a publisher that is not needed."""
 
-    An executor spends several times longer on a message than the message takes to be read; where
-    messages come in thousands a second, the node looks for them itself and leaves the rest
-    (waiting, parameters, services, rare topics) to the executor.
+    def publish(self, message: ParameterEvent) -> None:
+        """Publish nothing."""
+
+
+class DrainedNode(Node):
+    """A node that takes the messages of some of its subscriptions itself, without an executor.
+
+    An executor spends several times the time on a message that its reading takes. So the node polls
+    topics with thousands of messages per second itself, and leaves the rest (waiting, parameters,
+    services, rare topics) to the executor.
     """
 
     _drained: frozenset[Subscription] = frozenset()
+    _tells_of_parameters = True
 
     def __init__(self, name: str, *, start_parameter_services: bool = True, **options: Any) -> None:
-        """Make a node as rclpy does; without services for parameters, there are none at all."""
+        """Make a node as rclpy does; without parameter services it has no services at all.
+
+        It then has no publisher for /parameter_events either: in a process of hundreds of nodes
+        each further endpoint costs time at the start.
+        """
+        self._tells_of_parameters = start_parameter_services
         silent = Parameter("start_type_description_service", value=start_parameter_services)
         super().__init__(
             name,
@@ -77,9 +91,15 @@ class DrainedNode(Node):
             **options,
         )
 
+    def create_publisher(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
+        """Make a publisher as rclpy does, except for parameter events without services."""
+        if msg_type is ParameterEvent and not self._tells_of_parameters:
+            return _Silence()
+        return super().create_publisher(msg_type, topic, *arguments, **options)
+
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """The subscriptions that an executor is to serve."""
+        """The subscriptions that an executor serves."""
         return (s for s in super().subscriptions if s not in self._drained)
 
     def subscribe_drained(self, message_type: Any, topic: str) -> Inlet:
@@ -90,7 +110,7 @@ class DrainedNode(Node):
 
 
 class Inlet:
-    """Where the messages of one drained subscription wait."""
+    """The queue of one drained subscription."""
 
     def __init__(self, subscription: Subscription) -> None:
         """Take from `subscription`."""
@@ -98,11 +118,11 @@ class Inlet:
         self.take_raw: Callable[[], tuple[bytes, dict[str, int]] | None] = partial(
             subscription.handle.take_message, subscription.msg_type, True
         )
-        """Return the next message as CDR, with what is told of it, or None; never waits."""
+        """Return the next message as CDR, with its metadata, or None; never waits."""
 
     @property
     def connected(self) -> bool:
-        """Whether somebody publishes to it."""
+        """Whether its topic has a publisher."""
         return bool(self.subscription.get_publisher_count() > 0)
 
     def take(self) -> bytes | None:
@@ -113,7 +133,7 @@ class Inlet:
     def take_with_age(self) -> tuple[bytes, float] | None:
         """Return the next message and how long ago it was sent, in s, or None; never waits.
 
-        The age is by the system's time, here and where the message was sent.
+        The age is measured by the system clocks of sender and receiver.
         """
         taken = self.take_raw()
         if taken is None:

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frame of a node process: arguments, parameters, signals, executor and exit status."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import Parser, note, positive_number, run_tool
+from flock_sim.console.signals import SUPERVISED, Stop, end_with_parent
+from flock_sim.console.stdout import results_only_on_stdout
+from flock_sim.errors import FlockError
+from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
+from flock_sim.ros.fastdds_shutdown import leave
+from flock_sim.ros.fetch import ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD, let_fetch
+from flock_sim.ros.given import parameter_reader, what_is_given
+from flock_sim.ros.settings_check import check_settings
+from flock_sim.ros.watchdog import Watchdog
+
+
+@dataclass(frozen=True)
+class Process:
+    """The task of a node process, and its ROS context."""
+
+    configuration: FlockConfiguration
+    operation: Mapping[str, Any]
+    context: Context
+    stop: Stop
+    supervised: bool
+    settle: Callable[[], None]
+    """Call this once the nodes exist: it destroys the node that read the parameters.
+
+    If that node were destroyed before, the DDS participant of the process would be destroyed too,
+    and made again.
+    """
+
+    def watchdog(self) -> Watchdog:
+        """Return the watchdog of this process. Under `fly` it is silent: the clock reports."""
+        return Watchdog(self.operation["timeout"], (lambda line: None) if self.supervised else note)
+
+
+@contextmanager
+def executing(kind: str, context: Context) -> Iterator[Executor]:
+    """Yield an executor of this `kind`; its nodes are destroyed at the end."""
+    executor = make_executor(kind, context)
+    try:
+        yield executor
+    finally:
+        nodes = executor.get_nodes()
+        for node in nodes:
+            executor.remove_node(node)
+        leave(context, nodes)
+        executor.shutdown()
+
+
+def make_executor(kind: str, context: Context) -> Executor:
+    """Return an executor: "events" (if rclpy has it) or "single"."""
+    if kind == "events":
+        try:
+            from rclpy.experimental import EventsExecutor
+        except ImportError:
+            note("note: this rclpy has no events executor; the single-threaded one serves")
+        else:
+            return EventsExecutor(context=context)
+    return SingleThreadedExecutor(context=context)
+
+
+def new_incarnation() -> int:
+    """Return a number that distinguishes a node from its earlier incarnations."""
+    return secrets.randbits(64)
+
+
+def ros_context(arguments: Sequence[str]) -> Context:
+    """Return an initialised ROS context that installs no signal handlers."""
+    context = Context()
+    rclpy.init(
+        args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
+    )
+    let_fetch([ENDPOINTS_OF_ALL], ENDPOINTS_PERIOD)
+    return context
+
+
+def run_node(
+    name: str, description: str, examples: str, work: Callable[[Process], None]
+) -> Callable[[Sequence[str] | None], int]:
+    """Return the `main` of a node executable that does `work` and exits with its status."""
+
+    def tool(arguments: Sequence[str]) -> int:
+        parser = Parser(f"{name} --ros-args", description, examples)
+        parser.prog = f"./flock {name}"
+        parser.usage = (
+            f"./flock {name} [-h] [--timeout S] [--network] "
+            "--ros-args [-p KEY:=VALUE]... [--params-file FILE]"
+        )
+        parser.add_argument("--timeout", metavar="S", help="the parameter `timeout`, in s")
+        parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
+        options = parser.parse_args(_without_ros_arguments(name, arguments))
+        timeout = None
+        if options.timeout is not None:
+            timeout = positive_number("--timeout", options.timeout)
+        supervised = SUPERVISED in os.environ
+        stop = Stop(heed_interrupt=not supervised)
+        if supervised:
+            _follow_parent()
+        prepare_discovery(options.network)
+        with results_only_on_stdout():
+            context = ros_context(arguments)
+            try:
+                with parameter_reader(name, context) as reader:
+                    if not supervised:  # `fly` checks for all of its processes
+                        check_settings(context.get_domain_id())
+                    configuration, operation = what_is_given(name, reader, arguments)
+                    if timeout is not None:
+                        operation["timeout"] = timeout
+                    settle = reader.destroy_node
+                    work(Process(configuration, operation, context, stop, supervised, settle))
+            finally:
+                rclpy.try_shutdown(context=context)
+        return stop.exit_status
+
+    def main(arguments: Sequence[str] | None = None) -> int:
+        return run_tool(tool, arguments)
+
+    return main
+
+
+def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not for ROS. Raises FlockError if ROS can't read the others."""
+    try:
+        return list(remove_ros_args([name, *arguments])[1:])
+    except (
+        rclpy_implementation.RCLInvalidROSArgsError,
+        rclpy_implementation.UnknownROSArgsError,
+    ) as error:
+        # After "at" comes the place in the sources of rcl, which does not help a user.
+        words = str(error).partition(", at /")[0].replace("\n", " ")
+        reason = words.removeprefix("Failed to parse ROS arguments: ").strip()
+        raise FlockError(
+            f"ROS arguments: {reason}; ./flock {name} --help shows how they are written"
+        ) from error
+
+
+def _follow_parent() -> None:
+    """Leave Ctrl-C to the parent, which ends the flight in order, and end when it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+    if str(os.getppid()) != os.environ[SUPERVISED]:
+        raise FlockError("the process that started this one is gone; start the flight again")

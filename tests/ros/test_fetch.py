@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Listeners fetch states, many at a time. States are not sent one by one."""
+
+from __future__ import annotations
+
+import sys
+from subprocess import PIPE, Popen
+
+import pytest
+from rosgraph_msgs.msg import Clock
+
+from flock_sim.ros import discovery, fetch
+from flock_sim.ros.fetch import let_fetch
+from support.terminal import Terminal
+from support.visitor import Visitor
+
+TALKER = """
+import sys
+import rclpy
+from rosgraph_msgs.msg import Clock
+from rclpy.duration import Duration
+from flock_sim.ros.discovery import prepare_discovery
+from flock_sim.ros.endpoints import DrainedNode, latched
+from flock_sim.ros.fetch import let_fetch
+from flock_sim.ros.process import ros_context
+
+prepare_discovery()
+context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+node = DrainedNode("talker", context=context, start_parameter_services=False, enable_rosout=False)
+assert let_fetch(["/fetched"], float(sys.argv[1]))
+assert let_fetch(["/fetched"], float(sys.argv[1]))
+outlets = {
+    name: node.create_publisher(Clock, name, latched(1000)) for name in ("/fetched", "/sent")
+}
+message = Clock()
+for line in sys.stdin:
+    name, count = line.split()
+    for _ in range(int(count)):
+        message.clock.sec += 1
+        outlets[name].publish(message)
+    while count == "1" and not outlets[name].wait_for_all_acked(Duration(seconds=1)):
+        pass
+    print("done", flush=True)
+node.destroy_node()
+rclpy.try_shutdown(context=context)
+"""
+
+
+class Talker:
+    """Another process, which publishes what it is told to."""
+
+    def __init__(self, terminal: Terminal, period: float) -> None:
+        self._process = Popen(
+            [sys.executable, "-c", TALKER, str(period)],
+            stdin=PIPE,
+            stdout=PIPE,
+            text=True,
+            env=dict(terminal.environment),
+        )
+
+    def say(self, topic: str, count: int) -> None:
+        """Have it publish so many messages, and wait until it has."""
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.write(f"{topic} {count}\n")
+        self._process.stdin.flush()
+        assert self._process.stdout.readline() == "done\n"
+
+    def end(self) -> int:
+        """Have it end; return its exit status."""
+        self._process.communicate()
+        return self._process.returncode
+
+
+def test_what_is_fetched_comes_whole_and_in_order(terminal: Terminal, visitor: Visitor) -> None:
+    heard = visitor.hear(Clock, "/fetched", depth=1000)
+    talker = Talker(terminal, 0.02)
+    for _ in range(5):
+        talker.say("/fetched", 100)
+    visitor.until(lambda: len(heard) >= 500)
+    assert [message.clock.sec for message in heard] == list(range(1, 501))
+    assert talker.end() == 0
+
+
+def test_what_is_fetched_is_not_sent_as_soon_as_it_is_published(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    fetched = visitor.hear(Clock, "/fetched")
+    sent = visitor.hear(Clock, "/sent")
+    talker = Talker(terminal, 3600.0)
+    talker.say("/fetched", 1)
+    talker.say("/sent", 1)
+    visitor.until(lambda: fetched and sent)  # all have found each other
+    talker.say("/fetched", 10)
+    talker.say("/sent", 10)
+    order: list[int] = []
+
+    def all_sent() -> bool:
+        order.append(len(fetched))
+        return len(sent) == 11
+
+    visitor.until(all_sent)
+    assert order[-1] == 1, "published before those that were sent, and never told of"
+    assert talker.end() == 0
+
+
+def test_what_nodes_there_are_is_fetched_too(terminal: Terminal, visitor: Visitor) -> None:
+    assert fetch.ENDPOINTS_OF_ALL in fetch._known, "before the visitor's participant was made"
+    talker = Talker(terminal, 0.02)
+    visitor.until(lambda: "talker" in visitor.node.get_node_names())
+    assert talker.end() == 0
+
+
+@pytest.mark.parametrize("why", ["period", "settings", "library"])
+def test_topics_are_left_as_they_are_where_fast_dds_is_not_ours(
+    visitor: Visitor, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    if why == "settings":
+        monkeypatch.setenv(discovery.PROFILES[0], "/somebody/else.xml")
+    if why == "library":
+        monkeypatch.setattr(fetch, "fast_dds", lambda: None)
+    assert not let_fetch([f"/not_fetched_{why}"], 0.0 if why == "period" else 0.02)
