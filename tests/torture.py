@@ -24,10 +24,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from flock_sim.core import topics
-from flock_sim.core.messages import Grant
-from flock_sim.run import Run
-from terminal import Job, Terminal, open_terminal
+from flock_sim.messages import topics
+from flock_sim.messages.types import Grant
+from flock_sim.recording.run import Run
+from support.terminal import Job, Terminal, open_terminal
 
 BIRDS = 4
 EVERY = 10
@@ -96,18 +96,24 @@ class Executioner:
 
     MERCY = 3
 
-    def __init__(self, random: Random, budget: int) -> None:
+    def __init__(self, random: Random, budget: int, pace: float) -> None:
+        """Kill `budget` times; moments are drawn as for flights `pace` times as long."""
         self._random = random
         self.left = budget
+        self._pace = pace
         self._hits: dict[str, int] = {}
-        self._due = time.monotonic() + random.uniform(0.0, 4.0)
+        self._due = self._soon(0.0, 4.0)
+
+    def _soon(self, low: float, high: float) -> float:
+        """Return a monotonic time, in s, between `low` and `high` s of a long flight from now."""
+        return time.monotonic() + self._random.uniform(low, high) / self._pace
 
     def victim(self, candidates: dict[str, int], grew: bool) -> tuple[str, int] | None:
         """Return who is to be killed now, if anybody: (who, process)."""
         if grew:
             self._hits.clear()
             if self._due == math.inf:
-                self._due = time.monotonic() + self._random.uniform(0.0, 1.0)
+                self._due = self._soon(0.0, 1.0)
         if time.monotonic() < self._due or not self.left:
             return None
         spared = {w: p for w, p in candidates.items() if self._hits.get(w, 0) < self.MERCY}
@@ -120,7 +126,7 @@ class Executioner:
         low, high = self._random.choice(
             [(0.0, 0.3), (0.3, 2.0), (math.inf, math.inf), (math.inf, math.inf)]
         )
-        self._due = time.monotonic() + (low if low == math.inf else self._random.uniform(low, high))
+        self._due = math.inf if low == math.inf else self._soon(low, high)
         return who, spared[who]
 
 
@@ -130,6 +136,7 @@ def torture(
     kills: int,
     per_flight: int = 12,
     lengths: Sequence[int] = LENGTHS,
+    pace: float = 1.0,
     say: Callable[[str], None] = print,
 ) -> Toll:
     """Fly until `kills` processes were killed; check every bag against the reference's."""
@@ -138,7 +145,7 @@ def torture(
     for flight in itertools.count():
         steps = random.choice(lengths)
         bag = f"flight-{flight}"
-        executioner = Executioner(random, min(per_flight, kills - toll.killed))
+        executioner = Executioner(random, min(per_flight, kills - toll.killed), pace)
         fly = by_hand if flight % 2 else composed
         fly(terminal, bag, steps, executioner, toll, random)
         judge(terminal, bag, steps, toll)

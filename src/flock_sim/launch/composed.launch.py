@@ -8,14 +8,14 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
 from launch_ros.actions import Node
 
-from flock_sim.launch_arguments import ARGUMENTS, PROCESSES
-from flock_sim.launch_nodes import Flight, declare
+from flock_sim.launcher.ros2_launch_arguments import ARGUMENTS, PROCESSES
+from flock_sim.launcher.ros2_launch_nodes import Flight, declare
 
 KNOWN = ARGUMENTS | PROCESSES
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments, and what they come to."""
+    """Return the arguments, and the action that starts the flight."""
     return LaunchDescription([*declare(KNOWN), OpaqueFunction(function=fly)])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`view` draws what it would publish, and says in one line what it can't do."""
+"""`view` draws the scene that it would publish, and refuses impossible options in one line."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from flock_sim.command_line import run_tool
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from flock_tools import picture_file
-from flock_tools.view import tool
-from flock_tools.view_picture import Camera, draw_scene, polygons, scene_of
-from flock_tools.view_scene import scene
-from unit.flights import record
-from unit.test_view_scene import moment
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import run_tool
+from flock_sim.recording.run import Run
+from flock_tools.commands import output as output_module
+from flock_tools.commands.view import period, tool
+from flock_tools.scene.picture import Camera, draw_scene, polygons, scene_of
+from flock_tools.scene.shapes import scene
+from support.flights import record
+from unit.scene.test_shapes import moment
 
 TWO = FlockConfiguration(birds=3, t_max=40.0, span_ratios=("1=0.9,1.0",))
 
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_file, "RESOLUTION", 40)
+    monkeypatch.setattr(output_module, "RESOLUTION", 40)
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +85,12 @@ def test_what_is_nearer_is_seen_larger_and_what_is_right_on_the_right() -> None:
         (["--foxglove", "70000"], ["--foxglove 70000", "0..65535"]),
         (["--foxglove", "some"], ["--foxglove some", "0..65535"]),
         (["--host", "0.0.0.0"], ["--host 0.0.0.0", "--foxglove"]),
+        (
+            ["--foxglove-origin", "https://a.example"],
+            ["--foxglove-origin https://a.example", "both"],
+        ),
+        (["--foxglove", "--foxglove-origin", "*"], ["--foxglove-origin *", "https://HOST"]),
+        (["--foxglove", "--foxglove-origin", "https://a/b"], ["https://a/b", "https://HOST"]),
         (["--at", "3"], ["--at 3", "--picture"]),
         (["--picture", "a.png"], ["--picture a.png", "RUN"]),
         (["--config", "none.yaml"], ["none.yaml"]),
@@ -111,3 +117,8 @@ def test_bad_input_is_said_in_one_line(
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     assert all(word in err for word in words)
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(20.0, 0.05), (1e-8, 1e8), (5e-324, 1e9)])
+def test_any_rate_is_one_that_can_be_waited_for(rate: float, seconds: float) -> None:
+    assert period(rate) == pytest.approx(seconds)

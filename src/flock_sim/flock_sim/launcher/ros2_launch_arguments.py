@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files can be told, and what they make of it; needs no `launch`."""
+"""The arguments of the launch files, and their checks; needs no `launch`."""
 
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from flock_sim import configuration_file
-from flock_sim.command_line import whole_number
-from flock_sim.core.configuration import MEANING, FlockConfiguration
+from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
+from flock_sim.configuration.operation import OPERATION_MEANING
 from flock_sim.errors import FlockError
-from flock_sim.nodes.parameters import OPERATION_MEANING
-from flock_sim.shares import shares
+from flock_sim.launcher.partition import MOST_PROCESSES, partition, process_count
+from flock_sim.messages.topics import RECORDER
+from flock_sim.ros.node_parameters import FlightParameters, of_flight
 
 ARGUMENTS = {
     "birds": ("", "number of birds; empty: what `config` says, else 13"),
@@ -26,14 +27,14 @@ ARGUMENTS = {
 """The default and the description of every argument of the launch files."""
 
 PROCESSES = {"processes": ("1", "number of processes that share the birds")}
-"""Those that composed.launch.py has beside them."""
+"""Further arguments of composed.launch.py."""
 
 SWITCH = {"true": True, "false": False}
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What a launch was told, checked. `config` is empty where there is none."""
+    """The checked arguments of a launch. `config` is empty if none is given."""
 
     configuration: FlockConfiguration
     config: str
@@ -44,31 +45,41 @@ class Arguments:
 
     @classmethod
     def read(cls, given: Mapping[str, str]) -> Arguments:
-        """Return what `given`, each argument as text, comes to. Raises FlockError if it is wrong.
+        """Return the arguments from `given`, their texts. Raises FlockError if one is wrong.
 
-        Without `processes`, every bird has one of its own.
+        Without `processes`, every bird has its own process.
         """
-        configuration = _configuration(given["birds"], given["config"])
-        birds = configuration.birds
+        told = _told(given["birds"], given["config"])
+        birds = told.configuration.birds
+        output = given["output"] or told.of([RECORDER]).get("output")
+
+        if "processes" not in given and birds > MOST_PROCESSES:
+            raise FlockError(
+                f"birds {birds}: here every bird has its own process, and {MOST_PROCESSES} work on "
+                f"one machine; use composed.launch.py with processes:={MOST_PROCESSES} or less"
+            )
         return cls(
-            configuration,
+            told.configuration,
             given["config"],
-            given["output"] or f"runs/launch-{datetime.now():%Y%m%d-%H%M%S}",
+            # With the process id: launches that start together are separate flights.
+            output or f"runs/launch-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}",
             _switch("record", given["record"]),
             _switch("respawn", given["respawn"]),
-            whole_number("processes", given.get("processes", str(birds)), 1, birds),
+            process_count(
+                "processes", given.get("processes", str(birds)), birds, told.configuration.coupling
+            ),
         )
 
-    def shares(self) -> list[list[int]]:
+    def partition(self) -> list[list[int]]:
         """Return the birds of each process."""
-        return shares(self.configuration.birds, self.processes)
+        return partition(self.configuration.birds, self.processes)
 
 
 def refuse_others(words: Sequence[str], known: Sequence[str]) -> None:
-    """Raise FlockError if `words`, as in NAME:=VALUE, name what is meant for Flock and not `known`.
+    """Raise FlockError if `words`, as in NAME:=VALUE, are meant for Flock but not `known`.
 
-    `launch` takes any name in silence. Those that resemble none of ours may be another launch
-    file's, which includes this one.
+    `launch` accepts any name without a warning. A name that resembles none of ours may belong to
+    another launch file that includes this one.
     """
     parameters = {**MEANING, **OPERATION_MEANING}
     for name in (word.partition(":=")[0] for word in words):
@@ -88,16 +99,15 @@ def refuse_others(words: Sequence[str], known: Sequence[str]) -> None:
             raise FlockError(f"unknown launch argument {name!r}: did you mean {close[0]!r}?")
 
 
-def _configuration(birds: str, config: str) -> FlockConfiguration:
-    """Return what is flown; how nodes operate is theirs to read in the same file."""
-    parameters = configuration_file.read(Path(config)) if config else {}
-    flown = {key: value for key, value in parameters.items() if key not in OPERATION_MEANING}
-    if birds:
-        flown["birds"] = birds
+def _told(birds: str, config: str) -> FlightParameters:
+    """Return the configuration, and the file's operation of nodes, which read it themselves."""
+    options = {"birds": birds} if birds else {}
+    if not config:
+        return FlightParameters(FlockConfiguration.from_parameters(options))
     try:
-        return FlockConfiguration.from_parameters(flown)
+        return of_flight(Path(config), options)
     except FlockError as error:
-        raise FlockError(f"{error} (with config:={config})" if config else str(error)) from None
+        raise FlockError(f"{error} (with config:={config})") from None
 
 
 def _switch(name: str, text: str) -> bool:

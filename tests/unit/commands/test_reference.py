@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`reference` flies what it is told, and again what a run flew, to the bit."""
+"""`reference` flies its configuration, and repeats a run bit for bit."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Push
-from flock_sim.core.monolith import Monolith
-from flock_sim.core.perturbation import Perturbation, perturbations
-from flock_sim.recording import recording
-from flock_sim.reference import row, tool
-from flock_sim.run import Run
-from flock_tools.comparison import Comparison, compare
-from flock_tools.repair import rewrite
-from unit.tool_runs import error_of, text_of
+from flock_sim.commands.reference import row, tool
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.perturbation import Perturbation, perturbations
+from flock_sim.messages.types import Push
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.run import Run
+from flock_sim.reference.integrator import Reference
+from flock_tools.commands.repair import rewrite
+from flock_tools.runs.comparison import Comparison, compare
+from support.tool_runs import error_of, text_of
 
 CONFIGURATION = FlockConfiguration(
     birds=4, t_max=60.0, record_every=7, span_ratios=("2=0.98,1.0",), perturbations=("3:2@20=0.1",)
@@ -31,7 +31,7 @@ def pushes(entries: tuple[str, ...] = LIVE) -> tuple[Perturbation, ...]:
 
 def flight(path: Path, *, rows: int = 1000) -> Path:
     """Record a flight as nodes would have, in which LIVE was asked for: the last of it first."""
-    flown = list(Monolith(CONFIGURATION, live=pushes()).fly())
+    flown = list(Reference(CONFIGURATION, live=pushes()).fly())
     with recording(path, CONFIGURATION, grants=True) as run:
         for number, push in reversed(list(enumerate(pushes(), start=1))):
             run.write_perturbation(Push.of(99, number, push))
@@ -156,7 +156,7 @@ def test_compare_tells_the_perturbed_from_the_unperturbed(
     # Also where nothing but the states tells of it.
     calm_one = replace(CONFIGURATION, perturbations=())
     with recording(tmp_path / "live", calm_one, grants=True) as run:
-        for state in Monolith(calm_one, live=pushes(("3:2@28=0.1",))).fly():
+        for state in Reference(calm_one, live=pushes(("3:2@28=0.1",))).fly():
             run.write_row(row(calm_one, state))
     result = compared(calm, tmp_path / "live")
     assert not result.equal

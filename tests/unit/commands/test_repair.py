@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`repair` makes a proper bag of whatever is whole, and nothing else."""
+"""`repair` writes a valid bag of all intact messages, and of nothing else."""
 
 import os
 import random
@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
-from flock_sim.bag.reader import BagReader
-from flock_sim.bag.writer import BagWriter
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from flock_tools.repair import examine, rewrite, tool
-from unit.flights import record
-from unit.tool_runs import error_of, json_of, text_of
+from flock_sim.bag.reading.reader import BagReader
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.recording.run import Run
+from flock_tools.commands.repair import examine, rewrite, tool
+from support.flights import record
+from support.tool_runs import error_of, json_of, text_of
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=400.0, record_every=1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What launches are told, and that the launch files are installed where `ros2 launch` looks."""
+"""The arguments of launches, and the installation of launch files for `ros2 launch`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 
 from flock_sim.errors import FlockError
-from flock_sim.launch_arguments import ARGUMENTS, PROCESSES, Arguments, refuse_others
+from flock_sim.launcher.ros2_launch_arguments import ARGUMENTS, PROCESSES, Arguments, refuse_others
 
 LAUNCH_FILES = ("flock.launch.py", "composed.launch.py")
 
@@ -24,7 +24,7 @@ def test_launch_files_are_installed_and_are_python(name: str) -> None:
 
 
 def test_every_launch_file_of_the_source_is_installed() -> None:
-    source = Path(__file__).parents[2] / "src" / "flock_sim" / "launch"
+    source = Path(__file__).parents[3] / "src" / "flock_sim" / "launch"
     assert {file.name for file in source.iterdir()} == set(LAUNCH_FILES)
 
 
@@ -33,7 +33,7 @@ def test_without_arguments_thirteen_geese_are_flown_recorded_and_looked_after() 
     assert told.configuration.birds == 13
     assert (told.record, told.respawn) == (True, True)
     assert told.output.startswith("runs/launch-")
-    assert told.shares() == [[bird] for bird in range(1, 14)]
+    assert told.partition() == [[bird] for bird in range(1, 14)]
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_without_arguments_thirteen_geese_are_flown_recorded_and_looked_after() 
 )
 def test_neighbours_share_a_process(birds: int, processes: int, shares: list[list[int]]) -> None:
     told = Arguments.read({**DEFAULTS, "birds": str(birds), "processes": str(processes)})
-    assert told.shares() == shares
+    assert told.partition() == shares
 
 
 def test_arguments_win_over_the_file_and_the_file_over_the_defaults(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`metrics` keeps its contract, needs no ROS, and refuses what it can't read in one line."""
+"""`metrics` prints the specified output, needs no ROS, and refuses unreadable bags in one line."""
 
 import json
 import shutil
@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.command_line import run_tool
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from flock_tools.metrics import tool
-from unit.flights import record
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import run_tool
+from flock_sim.recording.run import Run
+from flock_tools.commands.metrics import tool
+from support.flights import record
 
 KEYS = {
     *("birds", "members", "coupling", "dt", "steps", "t_final", "leader", "mean_speed"),
@@ -117,8 +117,11 @@ class Absence:
             raise ModuleNotFoundError(f"{name} is imported")
 
 sys.meta_path.insert(0, Absence())
-from flock_sim.command_line import run_tool
-from flock_tools import compare, dataset, metrics, picture
+from flock_sim.console.arguments import run_tool
+from flock_tools.commands import compare
+from flock_tools.runs import dataset
+from flock_tools.commands import metrics
+from flock_tools.commands import picture
 
 path, output = sys.argv[1:]
 assert run_tool(metrics.tool, [path]) == 0

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`equilibrium` keeps its contract, and says in words what it found."""
+"""`equilibrium` prints the specified JSON, and describes the result in words."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flock_tools.equilibrium import birds_told, tool
-from unit.tool_runs import error_of, json_of, text_of
+from flock_tools.commands.equilibrium import birds_told, tool
+from support.tool_runs import error_of, json_of, text_of
 
 LISTS = {
     *("exists", "speed", "margin", "stable", "weakest_gap", "leading_eigenvalue"),

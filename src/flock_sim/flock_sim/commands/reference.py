@@ -8,27 +8,19 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from flock_sim.bag.output import claim_output
-from flock_sim.command_line import (
-    FLOCK_OPTIONS,
-    Parser,
-    add_flock_options,
-    flock_configuration,
-    note,
-    run_tool,
-)
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.ledger import Row
-from flock_sim.core.messages import Push, State, Time, Wing
-from flock_sim.core.monolith import Monolith, Recorded
-from flock_sim.core.perturbation import Perturbation
+from flock_sim.commands.flight_report import add_output_options, claim_output, report
+from flock_sim.configuration.options import FLOCK_OPTIONS, add_flock_options, flock_configuration
+from flock_sim.console.arguments import Parser, note, run_tool
 from flock_sim.errors import FlockError
-from flock_sim.progress import progress_bar
-from flock_sim.recording import recording
-from flock_sim.report import add_output_options, output_directory, report
-from flock_sim.run import Run
-from flock_sim.warm import warm, warm_links
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
+    from flock_sim.configuration.perturbation import Perturbation
+    from flock_sim.recording.output_directory import Output
+    from flock_sim.recording.row_assembler import Row
+    from flock_sim.reference.integrator import Recorded
 
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
@@ -37,7 +29,7 @@ EXAMPLES = """\
 
 
 def tool(arguments: Sequence[str]) -> int:
-    """Integrate a flock as one system, record it, and say what came of it."""
+    """Integrate a flock as one system, record it, and print its report."""
     parser = Parser("reference", "Fly a flock in one loop, without ROS, bit for bit.", EXAMPLES)
     add_flock_options(parser)
     parser.add_argument(
@@ -51,28 +43,33 @@ def tool(arguments: Sequence[str]) -> int:
     configuration, live = (
         _repeated(options) if options.repeat else (flock_configuration(options), [])
     )
-    output = output_directory(options, "reference")
-    claim_output(output, options.force)
-    note(f"recording to {output}")
-    begun = time.monotonic()
-    seconds = _integrate(configuration, live, output)
-    flight = {
-        "steps_per_second": configuration.steps / seconds,
-        "wall_seconds": time.monotonic() - begun,
-        "output": str(output),
-    }
-    report(flight, configuration, options.json)
+
+    with claim_output(options.output, options.force, "reference") as output:
+        note(f"recording to {output.path}")
+        begun = time.monotonic()
+        seconds = _integrate(configuration, live, output)
+        flight = {
+            "steps_per_second": configuration.steps / seconds,
+            "wall_seconds": time.monotonic() - begun,
+            "output": str(output.path),
+            "last_step": configuration.steps,
+        }
+        output.check()
+        report(flight, configuration, options.json)
     return 0
 
 
 def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Perturbation]]:
-    """Return what the run to repeat flew, and how it was perturbed in flight."""
+    """Return the configuration of the run to repeat, and its perturbations in flight."""
     for key, option in {"config": "--config", **FLOCK_OPTIONS}.items():
         if getattr(options, key) is not None:
             raise FlockError(
                 f"{option} and --repeat exclude each other: what is flown stands in "
                 f"{options.repeat}; leave one out"
             )
+
+    from flock_sim.recording.run import Run
+
     with Run(options.repeat) as run:
         if run.missing:
             note(f"note: {run.missing}; it is flown to its end")
@@ -82,20 +79,27 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
 
 
 def _integrate(
-    configuration: FlockConfiguration, live: Sequence[Perturbation], output: Path
+    configuration: FlockConfiguration, live: Sequence[Perturbation], output: Output
 ) -> float:
-    """Integrate and record; return the seconds that went into the integration itself."""
-    warm()  # loading compiled code is no part of the rate
-    if not configuration.linkage.plain:
-        warm_links()
+    """Integrate and record; return the time of the integration alone, in s."""
+    from flock_sim.console.progress import progress_bar
+    from flock_sim.launcher.precompile import warm_reference
+    from flock_sim.messages.types import Push
+    from flock_sim.recording.flight_writer import recording
+    from flock_sim.reference.integrator import Reference
+
+    # The rate must not include the load of compiled code.
+    warm_reference(*(() if configuration.link_table.plain else ("hold",)))
     seconds = 0.0
     with (
-        recording(output, configuration, grants=False, live=bool(live)) as run,
+        recording(
+            output.path, configuration, grants=False, live=bool(live), replace=output.replaces
+        ) as run,
         progress_bar("integrating", configuration) as show,
     ):
         for number, perturbation in enumerate(live, start=1):
             run.write_perturbation(Push.of(0, number, perturbation))
-        flight = Monolith(configuration, live=live).fly()
+        flight = Reference(configuration, live=live).fly()
         while True:
             begun = time.perf_counter()
             recorded = next(flight, None)
@@ -108,6 +112,9 @@ def _integrate(
 
 def row(configuration: FlockConfiguration, recorded: Recorded) -> Row:
     """Return a recorded step as the messages that a flock of nodes would have sent."""
+    from flock_sim.messages.types import State, Time, Wing
+    from flock_sim.recording.row_assembler import Row
+
     birds = range(configuration.birds)
     ratio = configuration.span_ratio
     wings = [Wing(0, i + 1, ratio[i]).encode() for i in birds] if recorded.step == 0 else []

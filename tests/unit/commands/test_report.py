@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A report shows what the bag holds, keeps every extreme, and takes nothing in it for markup."""
+"""A report agrees with the bag, keeps every extreme, and escapes all markup."""
 
 import base64
 import hashlib
@@ -19,21 +19,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from flock_sim import recording
-from flock_sim.bag.output import claim_output
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
-from flock_sim.command_line import Parser, add_flock_options, flock_configuration
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from flock_tools import report_data
-from flock_tools.dataset import load
-from flock_tools.decimation import bucket_width, ends, extremes, frame_rows
-from flock_tools.report import tool
-from flock_tools.report_data import MOST_NUMBERS, Room
-from flock_tools.report_page import PAGE, SCRIPTS
-from unit.flights import record
-from unit.tool_runs import error_of, json_of, text_of
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.console.arguments import Parser
+from flock_sim.recording import flight_writer
+from flock_sim.recording.output_directory import remove_bag
+from flock_sim.recording.run import Run
+from flock_tools.commands.report import tool
+from flock_tools.report import data as report_data
+from flock_tools.report.data import MOST_NUMBERS, Room
+from flock_tools.report.decimation import bucket_width, ends, extremes, frame_rows
+from flock_tools.report.html import PAGE, SCRIPTS
+from flock_tools.runs.dataset import load
+from support.flights import record
+from support.tool_runs import error_of, json_of, text_of
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>{{ 7 * 7 }}"
 CONFIGURATION = FlockConfiguration(
@@ -211,7 +212,7 @@ def test_a_flock_whose_leader_is_nowhere_is_still_shown(tmp_path: Path) -> None:
 def test_markup_in_what_was_recorded_is_text(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "__version__", HOSTILE)
+    monkeypatch.setattr(flight_writer, "__version__", HOSTILE)
     path = tmp_path / f"run{HOSTILE}"
     path.parent.mkdir(parents=True)
     record(path, FlockConfiguration(birds=3, t_max=20.0))
@@ -318,8 +319,8 @@ def test_the_report_lies_beside_the_bag_which_can_be_flown_over(
     assert (path / "report.html").read_bytes() == first
     with Run(path) as run:
         assert told["runs"][0]["mean_speed"] == run.metrics().mean_speed.tolist()
-    claim_output(path, force=True)
-    assert list(path.iterdir()) == []
+    remove_bag(path)
+    assert not path.exists()
 
 
 @given(flocks=st.lists(st.tuples(st.integers(1, 60), st.integers(1, 3000)), min_size=1, max_size=6))

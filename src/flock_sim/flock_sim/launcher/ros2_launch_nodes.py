@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a flight under `ros2 launch`: how they are started, and what follows their ends."""
+"""The nodes of a flight under `ros2 launch`: their start, and the actions at their end."""
 
 from __future__ import annotations
 
 import json
+import shlex
 import signal
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 
 from launch import LaunchContext
 from launch.action import Action
@@ -14,22 +16,24 @@ from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, TimerActio
 from launch.events import Shutdown
 from launch_ros.actions import Node
 
-from flock_sim.core.timekeeper import new_run_id
-from flock_sim.core.topics import RECORDER, bird_name
-from flock_sim.discovery import own_domain, prepare_discovery
 from flock_sim.errors import RunFailed
-from flock_sim.launch_arguments import Arguments, refuse_others
+from flock_sim.launcher.fork_server import ForkServer
+from flock_sim.launcher.forkable import CannotFork
+from flock_sim.launcher.ros2_launch_arguments import Arguments, refuse_others
+from flock_sim.messages.topics import RECORDER, bird_name
+from flock_sim.protocol.clock import new_run_id
+from flock_sim.ros.discovery import own_domain, prepare_discovery
 
 CLOCK = "clock"
 
 LATE = 30.0
-"""How long, in s, the others may take to end once the flight is over."""
+"""Longest time for the other nodes to end after the flight, in s."""
 
 INTERRUPTED = (-signal.SIGINT, 128 + signal.SIGINT)
-"""What Ctrl-C makes of a node: the launch hears of it too, perhaps a moment later."""
+"""Exit statuses of a node after Ctrl-C. The launch gets the signal too, perhaps a moment later."""
 
 WHY = {1: "the run failed", 2: "bad input"}
-"""The exit statuses that a node would have again if it were started again."""
+"""Exit statuses that a node would have again after a restart."""
 
 
 def declare(arguments: Mapping[str, tuple[str, str]]) -> list[Action]:
@@ -43,23 +47,24 @@ def declare(arguments: Mapping[str, tuple[str, str]]) -> list[Action]:
 class Flight:
     """The nodes of one flight, and the rules for their ends.
 
-    They have a ROS domain of their own for as long as `held` is open, as those of `fly` have.
+    They have their own ROS domain while `held` is open, like those of `fly`.
 
-    One that dies is started again; one that ended well is not. One that refuses what it was given,
-    or fails, ends the launch, and so does the end of the flight.
+    A node that dies is restarted; a node that ends with status 0 is not. A node that fails or has
+    bad input ends the launch, and so does the end of the flight.
     """
 
     def __init__(self, context: LaunchContext, known: Mapping[str, tuple[str, str]]) -> None:
-        """Read the arguments of the launch, of which it has `known`. Raises FlockError."""
+        """Read the `known` arguments of the launch. Raises FlockError if one is wrong."""
         refuse_others(context.argv, list(known))
         given = context.launch_configurations
         self.arguments = Arguments.read({name: given[name] for name in known})
-        # The run id keeps birds apart, but what is recorded does not tell whose it is.
+        # The run id separates the birds of flights, but recorded data does not show its flight.
         prepare_discovery()
         self.held = ExitStack()
         self.held.enter_context(own_domain())
         self._run_id = new_run_id()
-        # Which ends well when all is on disk, or flown: nobody is needed after that.
+        self._prefix = self.held.enter_context(_fork_server())
+        # It ends with status 0 when all is on disk, or flown. The other nodes are not needed then.
         self._last = RECORDER if self.arguments.record else CLOCK
         self._parts: dict[str, tuple[str, Mapping[str, object]]] = {}
 
@@ -68,7 +73,7 @@ class Flight:
         return self._add(CLOCK, "clock", {"record": self.arguments.record})
 
     def recorder(self) -> list[Node]:
-        """Return the recorder, if there is to be one."""
+        """Return the recorder, if the flight is recorded."""
         if not self.arguments.record:
             return []
         bag = {"output": self.arguments.output, "resume": self.arguments.respawn}
@@ -81,9 +86,9 @@ class Flight:
         return self._add(who, "bird", {"indices": list(indices)})
 
     def ended(self, who: str, status: int) -> list[Action]:
-        """Return what follows when `who` has ended with `status`: that of `subprocess`.
+        """Return the actions after node `who` has ended with `status`, as `subprocess` gives it.
 
-        Raises RunFailed, with which the launch ends, where `who` is not to be started again.
+        Raises RunFailed, which ends the launch, if `who` must not be restarted.
         """
         if status in WHY:
             raise RunFailed(f"{who} ended with status {status} ({WHY[status]}): its error is above")
@@ -96,7 +101,7 @@ class Flight:
         return [LogInfo(msg=f"{who} died: it is started again"), self._node(who)]
 
     def _gone(self, who: str) -> list[Action]:
-        """Return what follows now that `who` is no longer needed."""
+        """Return the actions when node `who` is no longer needed."""
         del self._parts[who]
         end = _end("the flight is over")
         if not self._parts:
@@ -110,8 +115,8 @@ class Flight:
     def _node(self, who: str) -> Node:
         executable, parameters = self._parts[who]
         birds = self.arguments.configuration.birds
-        # Not as `parameters=`, for which launch_ros leaves files in the temporary directory. What
-        # follows := is read as YAML, and JSON is that.
+        # Not as `parameters=`, for which launch_ros leaves files in the temporary directory. The
+        # text after := is read as YAML, and JSON is valid YAML.
         words = ["--params-file", self.arguments.config] if self.arguments.config else []
         for key, value in {"run_id": self._run_id, "birds": birds, **parameters}.items():
             words += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
@@ -119,12 +124,28 @@ class Flight:
             package="flock_sim",
             executable=executable,
             exec_name=who,
+            prefix=self._prefix,
             output="screen",
             ros_arguments=words,
             on_exit=lambda event, context: (
                 [] if context.is_shutdown else self.ended(who, event.returncode)
             ),
         )
+
+
+@contextmanager
+def _fork_server() -> Iterator[str]:
+    """Yield the prefix of a node command that uses a fork server; "" if none can exist."""
+    try:
+        server = ForkServer.spawn("flock_sim.launcher.preload:preload", listen=True)
+    except CannotFork:
+        yield ""
+        return
+    client = [sys.executable, "-P", "-m", "flock_sim.launcher.fork_client", server.address]
+    try:
+        yield shlex.join(client)
+    finally:
+        server.close()
 
 
 def _end(reason: str) -> Action:

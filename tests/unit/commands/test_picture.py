@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture shows the birds where they are, to scale, whatever has become of them."""
+"""A picture shows the positions of the birds, to scale, for any state of the flock."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from flock_sim.command_line import run_tool
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from flock_tools import picture_file
-from flock_tools.birds_eye import DRAG_SAVED
-from flock_tools.dataset import read
-from flock_tools.drawing import draw
-from flock_tools.picture import tool
-from unit.flights import Change, keep, record
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import run_tool
+from flock_sim.recording.run import Run
+from flock_tools.commands import output as output_module
+from flock_tools.commands.picture import tool
+from flock_tools.figures.plan_view import DRAG_SAVED
+from flock_tools.figures.run_history import draw
+from flock_tools.runs.dataset import read
+from support.flights import Change, keep, record
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HETEROGENEOUS = FlockConfiguration(birds=7, t_max=100.0, span_ratios=("2=1.0,1.3", "6=0.8"))
@@ -25,7 +25,7 @@ HETEROGENEOUS = FlockConfiguration(birds=7, t_max=100.0, span_ratios=("2=1.0,1.3
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_file, "RESOLUTION", 40)
+    monkeypatch.setattr(output_module, "RESOLUTION", 40)
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`limits` keeps its contract, by either method and on either kind of workers."""
+"""`limits` prints the specified output, by either method and on either kind of workers."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flock_tools.limits import tool
-from unit.tool_runs import error_of, json_of, text_of
+from flock_tools.commands.limits import tool
+from flock_tools.experiments import workers
+from support.tool_runs import error_of, json_of, text_of
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
@@ -191,7 +192,10 @@ def test_a_finer_grid_is_where_integrating_begins(capsys: pytest.CaptureFixture[
     assert max(held) < found["upper"] < min(r for r in ratios if r > max(held))
 
 
-def test_a_scheduler_that_does_not_answer_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scheduler_that_does_not_answer_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "TIMEOUT", 0.5)
     # Nobody listens on the port of `discard`; a connection is refused at once.
     line = error_of(tool, capsys, "--method", "integrate", "--scheduler", "tcp://127.0.0.1:9")
     assert "no Dask scheduler answers there" in line

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`compare` tells what it found, and refuses what it can't read in one line."""
+"""`compare` reports its result, and refuses unreadable bags in one line."""
 
 import json
 import shutil
@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.command_line import run_tool
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import State
-from flock_sim.run import Run
-from flock_tools.compare import tool
-from flock_tools.comparison import Comparison, compare
-from unit.flights import Change, record
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import run_tool
+from flock_sim.messages.types import State
+from flock_sim.recording.run import Run
+from flock_tools.commands.compare import tool
+from flock_tools.runs.comparison import Comparison, compare
+from support.flights import Change, record
 
 CONFIGURATION = FlockConfiguration(
     birds=5, t_max=40.0, record_every=2, span_ratios=("2=1.0,1.02,0.97", "4=1.01")

@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A survey counts what is drawn, the same whoever computes, and with honest intervals."""
+"""A survey counts its random flocks, independently of workers, with correct intervals."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.equilibrium import equilibrium
-from flock_sim.core.flock import Flock
-from flock_tools.population import BLOCK, SMALLEST, Distribution, Fraction, survey
-from flock_tools.survey import tool
-from flock_tools.workers import Workers
-from unit.tool_runs import error_of, json_of, text_of
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import RunFailed
+from flock_sim.physics.flock import Flock
+from flock_sim.theory.equilibrium import equilibrium
+from flock_tools.commands.survey import tool
+from flock_tools.experiments.random_flocks import BLOCK, SMALLEST, Distribution, Fraction, survey
+from flock_tools.experiments.workers import Workers
+from support.tool_runs import error_of, json_of, text_of
 
 
-def crew(count: int) -> Workers:
+def pool(count: int) -> Workers:
     return Workers(ThreadPoolExecutor(count), count, local=True)
 
 
@@ -49,10 +51,10 @@ def test_the_json_says_what_was_drawn_and_what_became_of_it(
 def test_who_computes_changes_no_number() -> None:
     configuration = FlockConfiguration(birds=5)
     one, other = (
-        survey(configuration, Distribution(0.03), BLOCK + 100, 7, crew(count)) for count in (1, 3)
+        survey(configuration, Distribution(0.03), BLOCK + 100, 7, pool(count)) for count in (1, 3)
     )
     assert one == other
-    assert survey(configuration, Distribution(0.03), BLOCK + 100, 8, crew(1)) != one
+    assert survey(configuration, Distribution(0.03), BLOCK + 100, 8, pool(1)) != one
 
 
 def test_the_same_flocks_are_drawn_whatever_else_is_asked_for(
@@ -85,7 +87,7 @@ def test_span_ratios_of_a_configuration_file_are_refused(
 
 
 def test_flocks_that_are_all_alike_all_fly() -> None:
-    population = survey(FlockConfiguration(birds=7), Distribution(1e-6), 500, 0, crew(1))
+    population = survey(FlockConfiguration(birds=7), Distribution(1e-6), 500, 0, pool(1))
     assert population.flying == Fraction(500, 500)
     assert population.worst_position is None
     # The closed form of the homogeneous flock's speed, to the order of the spread.
@@ -98,7 +100,7 @@ def test_flocks_that_are_all_alike_all_fly() -> None:
 def test_every_flock_of_two_alike_but_for_one_breaks_where_the_limit_says() -> None:
     # Two birds of span ratios drawn uniformly: brute force over a grid gives the same fraction.
     population = survey(
-        FlockConfiguration(birds=2), Distribution.uniform(0.5, 1.5), 20000, 1, crew(1)
+        FlockConfiguration(birds=2), Distribution.uniform(0.5, 1.5), 20000, 1, pool(1)
     )
     axis = np.linspace(0.5, 1.5, 201)[:-1] + 0.0025
     ratio = np.stack([side.ravel() for side in np.meshgrid(axis, axis)])
@@ -165,3 +167,25 @@ def test_a_survey_over_links_that_are_not_exact_is_refused(
     file.write_text('/**:\n  ros__parameters:\n    links: ["linear:delay=2"]\n')
     error = error_of(tool, capsys, "--config", str(file), "--samples", "10")
     assert "links linear:delay=2: survey solves the exact coupling" in error
+
+
+class Counting(Executor):
+    """Fails at whatever is submitted."""
+
+    def __init__(self) -> None:
+        self.submitted = 0
+
+    def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
+        self.submitted += 1
+        future: Future[Any] = Future()
+        future.set_exception(RunFailed("enough"))
+        return future
+
+
+def test_blocks_are_handed_out_as_they_are_computed() -> None:
+    # All of them at once may be more than memory holds.
+    pool = Counting()
+    workers = Workers(pool, 1, local=True)
+    with pytest.raises(RunFailed, match="enough"):
+        survey(FlockConfiguration(birds=2), Distribution(0.01), 10**8, 1, workers)
+    assert pool.submitted < 20

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The composed launcher: the processes of a flight and how they are started."""

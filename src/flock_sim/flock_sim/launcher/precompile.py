@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile all kernels into the cache on disk, so that no tool waits for the compiler.
+
+`make setup` runs `python -m flock_sim.launcher.precompile`. Tools call these functions before they
+measure their own rates. Each function imports only the kernels that the tool is about to use.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from flock_sim.configuration.choices import COUPLINGS
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+
+
+def warm_reference(*links: str) -> None:
+    """Call every kernel of the reference once, with the argument types of the reference.
+
+    `links` are those of the next flight; without any, its links are plain.
+    """
+    from flock_sim.reference.integrator import Reference
+
+    for _ in Reference(FlockConfiguration(birds=2, t_max=2.0, links=links)).fly():
+        pass
+
+
+def warm_bird() -> None:
+    """Do the same with the kernels of a bird whose links are plain."""
+    from flock_sim.messages.types import Checkpoint, Grant, Wing
+    from flock_sim.protocol.bird import BirdProtocol
+
+    alone = FlockConfiguration(birds=1, t_max=1.0)
+    bird = BirdProtocol(1, alone)
+    bird.receive_grant(Grant(run_id=1, step=0, end=1, dt=1.0, epoch=1))
+    bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
+    bird.receive_grant(Grant(run_id=1, step=1, end=1, dt=1.0, epoch=1))
+    configuration = FlockConfiguration(birds=2, t_max=2.0)
+    bird = BirdProtocol(1, configuration, run_id=1)
+    bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
+    bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
+    bird.receive_wing(Wing(1, 2, configuration.span_ratio[1]))
+
+
+def warm_links(configuration: FlockConfiguration | None = None) -> None:
+    """Do the same with the kernels of links that are not plain, and of a free flight.
+
+    Registered link models are compiled for the links of `configuration`.
+    """
+    from flock_sim.messages.types import Checkpoint, Grant, Wing
+    from flock_sim.protocol.bird import BirdProtocol, Channel
+    from flock_sim.protocol.latest_values import LatestValues
+
+    configuration = configuration or FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
+    end, dt = configuration.steps, configuration.dt
+    birds = [BirdProtocol(bird, configuration, run_id=1) for bird in (1, 2)]
+    said = []
+    for bird in birds:
+        bird.receive_grant(Grant(run_id=1, step=0, end=end, dt=dt, epoch=1))
+        for other, ratio in enumerate(configuration.span_ratio, 1):
+            bird.receive_wing(Wing(1, other, ratio))
+        said += bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
+    for channel, data in said:
+        if channel is Channel.STAGE:
+            birds[0].receive_stage(data)
+    LatestValues(1, (2,), configuration).known(0, 0)
+
+
+def warm_exchange() -> None:
+    """Do the same with the compiled exchange of stages, without any message."""
+    from flock_sim.protocol.bird import BirdProtocol
+    from flock_sim.ros.compiled_exchange import available, exchange
+
+    path = BirdProtocol(1, FlockConfiguration(birds=2)).fast_path()
+    if path is not None and available():
+        path.begin(tick=0, end=1, run_id=1, epoch=1, lacking=(set(), set()))
+        exchange(path.words, 1.0, False)
+
+
+def warm_equilibrium(coupling: str) -> None:
+    """Do the same with the steady states of flocks of one coupling."""
+    from flock_sim.physics.flock import Flock
+    from flock_sim.theory.equilibrium import equilibrium
+
+    equilibrium(Flock.of(FlockConfiguration(birds=3, coupling=coupling)))
+
+
+def warm_stability() -> None:
+    """Do the same with the eigenvalues of steady states."""
+    from flock_sim.physics.flock import Flock
+    from flock_sim.theory.linear_stability import eigenvalues
+
+    flock = Flock.of(FlockConfiguration(birds=3))
+    eigenvalues(flock, np.ones((2, 1)), np.ones(1))
+
+
+def warm_integral() -> None:
+    """Do the same with the interaction integral."""
+    from flock_sim.physics.aerodynamics import interaction_integral
+
+    interaction_integral(1.0, 2.0, 0.5, 0.5)
+
+
+if __name__ == "__main__":
+    # The exchange loads ROS, which would end this process if that middleware is not installed.
+    os.environ.pop("RMW_IMPLEMENTATION", None)
+    warm_reference()
+    warm_reference("hold")
+    warm_bird()
+    warm_links()
+    warm_exchange()
+    for coupling in COUPLINGS:
+        warm_equilibrium(coupling)
+    warm_stability()
+    warm_integral()
