@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steady state of a flock, without flying it: `flock equilibrium`."""
+
+from __future__ import annotations
+
+import cmath
+import math
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.console.arguments import Parser, print_json, run_tool
+
+if TYPE_CHECKING:
+    from flock_tools.runs.assessment import Assessment
+
+DESCRIPTION = """\
+Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
+state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
+Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
+--dt, --t-max, --record-every and --perturb have no say in it; links have to be exact.
+Exit status: 0, whatever the answer is; 2 bad input."""
+
+EXAMPLES = """\
+  ./flock equilibrium --birds 13
+  ./flock equilibrium --span-ratio 4=0.95,1.0,1.08 --coupling all
+  ./flock equilibrium --birds 31 --json | jq '.spacing[0]'"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Solve for the steady state of a flock and print it."""
+    parser = Parser("equilibrium", DESCRIPTION, EXAMPLES)
+    add_flock_options(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    options = parser.parse_args(arguments)
+
+    from flock_tools.commands.options import check_links_exact
+    from flock_tools.runs.assessment import Assessment
+
+    configuration = flock_configuration(options)
+    check_links_exact(configuration, "equilibrium")
+    assessment = Assessment.of(configuration)
+    if options.json:
+        print_json(assessment.as_json())
+    else:
+        print(described(assessment))
+    return 0
+
+
+def described(assessment: Assessment) -> str:
+    """Return the result as text."""
+    from flock_sim.analysis.summary import MOST_MEMBERS
+
+    configuration = assessment.configuration
+    birds, members = configuration.birds, configuration.members
+    flock = f"{birds} bird{'s' * (birds > 1)}, {configuration.coupling} coupling"
+    lines = [flock + (f", {members} members" if members > 1 else "")]
+    for m in range(min(members, MOST_MEMBERS)):
+        lines += ["", f"member {m + 1}"] if members > 1 else []
+        lines += _formation(assessment, m) if assessment.state.exists[m] else _none(assessment, m)
+    if members > MOST_MEMBERS:
+        lines += ["", f"... and {members - MOST_MEMBERS} members more"]
+    if members > 1:
+        count = int(assessment.state.exists.sum())
+        lines += ["", f"{count} of {members} members can fly{' in formation' * (birds > 1)}"]
+    return "\n".join(lines)
+
+
+def birds_told(birds: Sequence[int]) -> str:
+    """Return the birds as text, such as "bird 3" or "birds 1 to 4 and 7"."""
+    runs: list[list[int]] = []
+    for bird in birds:
+        if runs and bird == runs[-1][-1] + 1:
+            runs[-1].append(bird)
+        else:
+            runs.append([bird])
+    texts = [
+        f"{run[0]} to {run[-1]}" if len(run) > 2 else " and ".join(map(str, run)) for run in runs
+    ]
+    listed = " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
+    return f"bird{'s' * (len(birds) > 1)} {listed}"
+
+
+def _formation(assessment: Assessment, m: int) -> list[str]:
+    from flock_sim.analysis.summary import row, wings
+    from flock_sim.physics import formation
+
+    state, birds = assessment.state, assessment.configuration.birds
+    leading = assessment.leading_eigenvalue[m]
+    stable = {True: "stable", False: "unstable", None: "too many birds to tell whether stable"}[
+        assessment.stable[m]
+    ]
+    metres = state.speed[m] * assessment.configuration.min_drag_speed
+    lines = [
+        f"  verdict              can fly in formation, {stable}"
+        if birds > 1
+        else f"  verdict              flies alone, {stable}",
+        f"  speed U*             {state.speed[m]:.9f} U_min ({metres:.2f} m/s)",
+        f"  mean drag reduction  {100.0 * state.drag_reduction[:, m].mean():.2f} %",
+    ]
+    if birds > 1:
+        gap = assessment.weakest_gap[m]
+        lines += wings(state.spacing[:, m], state.drag_reduction[:, m], formation.leader(birds))
+        lines += row("share D/C", state.share[:, m], 4, "(gap 1, 2, ...)")
+        lines += [
+            f"  weakest gap          {gap}, between {birds_told([gap, gap + 1])}: "
+            f"share {state.share[gap - 1, m]:.4f}, margin {state.margin[m]:.4g}"
+        ]
+    if cmath.isnan(leading):
+        return lines
+    if leading.real == 0.0:
+        return [*lines, "  leading eigenvalue   0: a disturbance neither decays nor grows"]
+    what = "decays" if leading.real < 0.0 else "grows"
+    swing = f", swings once in {2.0 * math.pi / abs(leading.imag):.4g}" if leading.imag else ""
+    return [
+        *lines,
+        f"  leading eigenvalue   {leading.real:.5e}"
+        + (f" +- {abs(leading.imag):.5e} i" if leading.imag else ""),
+        f"  a disturbance        {what} e-fold in {1.0 / abs(leading.real):.4g}{swing} b/U_min",
+    ]
+
+
+def _none(assessment: Assessment, m: int) -> list[str]:
+    state, groups, gap = assessment.state, assessment.parts[m], assessment.weakest_gap[m]
+    if not gap:
+        what = "no formation: at no speed is the thrust of all their drag"
+        if assessment.configuration.birds == 1:
+            what = "can't fly: at no speed is its thrust its drag"
+        return [f"  verdict              {what}"]
+    from flock_sim.analysis.summary import row
+
+    lines = [
+        "  verdict              no formation: "
+        f"gap {gap} opens, between {birds_told([gap, gap + 1])}",
+        "  parts, fastest first " + "; ".join(birds_told(group) for group in groups),
+        f"  margin               {state.margin[m]:.4g}",
+    ]
+    return lines + row("share D/C needed", state.share[:, m], 4, "(gap 1, 2, ...)")
+
+
+def main() -> int:
+    """Run the `equilibrium` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

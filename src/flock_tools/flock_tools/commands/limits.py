@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's stability diagram: `flock limits`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.console.arguments import (
+    TIMEOUT,
+    Parser,
+    numbers,
+    positive_number,
+    print_json,
+    run_tool,
+    shown,
+    whole_number,
+    whole_numbers,
+)
+from flock_sim.errors import FlockError, nearest
+from flock_sim.launcher.partition import process_count
+from flock_tools.commands.output import check_picture, write_picture
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
+    from flock_sim.theory.span_limits import Limits
+    from flock_tools.experiments.flown_limits import HowFlown
+
+METHODS = ("exact", "integrate", "fly")
+
+OF_METHODS = {
+    "points": ("integrate", "fly"),
+    "resolution": ("integrate",),
+    "scheduler": ("integrate",),
+    "processes": ("fly",),
+    "timeout": ("fly",),
+    "bag": ("fly",),
+}
+"""Options that only some methods have, and the methods that have them."""
+
+BETWEEN = "0.5,1.5"
+"""The paper's range of span ratios."""
+
+RESOLUTION = "1e-3"
+
+ENDS = "2"
+GRID = "41"
+"""Default numbers of span ratios per bird: of integrate, before bisection, and of fly."""
+
+MOST_POINTS = 1001
+"""Largest number of span ratios per bird: all are members of one message."""
+
+PROCESSES = "2"
+
+LEAST_RESOLUTION = 1e-12
+"""Smallest --resolution: below it, rounding stops the bisection of a span ratio."""
+
+LANES = 8
+"""Members per worker and round: a single member costs twice as much."""
+
+DESCRIPTION = """\
+Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
+in formation, and the gap that opens at each end.
+exact: by the existence of the steady state.
+integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
+the homogeneous flock; bisection to --resolution.
+fly: the same protocol flown over ROS 2 by the birds' nodes: a grid of --points span ratios for each
+modified bird, all of them members of one flight; an end lies half way between two of them.
+Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
+integrate and fly; --perturb has no say; links have to be exact.
+An end that is not inside the searched interval is told so, and null in JSON.
+Exit status: 0, whatever the answer is; 1 a flight that failed; 2 bad input."""
+
+EXAMPLES = """\
+  ./flock limits --birds 13 --output limits.png
+  ./flock limits --coupling all --json | jq '.limits[0]'
+  ./flock limits --method integrate --t-max 1e5 --resolution 1e-3
+  ./flock limits --method integrate --t-max 1e5 --scheduler tcp://127.0.0.1:8786
+  ./flock limits --method fly --t-max 1e5 --processes 2"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Find the limits and print them."""
+    parser = Parser("limits", DESCRIPTION, EXAMPLES)
+    add_flock_options(parser)
+    limits = parser.add_argument_group("limits")
+    limits.add_argument("--method", metavar="|".join(METHODS), default="exact", help="(exact)")
+    limits.add_argument(
+        "--bird", metavar="I[,I...]", help="birds that are modified (the left wing, or all)"
+    )
+    limits.add_argument(
+        "--between",
+        metavar="LO,HI",
+        default=BETWEEN,
+        help=f"span ratios that are searched ({BETWEEN})",
+    )
+    limits.add_argument(
+        "--resolution",
+        metavar="X",
+        help=f"width that intervals of integrate are halved to ({RESOLUTION})",
+    )
+    limits.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose cluster integrates (the cores of this machine)",
+    )
+    limits.add_argument(
+        "--points",
+        metavar="N",
+        help=f"span ratios tried a bird, evenly spaced: all of fly ({GRID}), the first of "
+        f"integrate ({ENDS})",
+    )
+    limits.add_argument(
+        "--processes", metavar="P", help=f"processes for the birds of fly ({PROCESSES})"
+    )
+    limits.add_argument(
+        "--timeout", metavar="S", help=f"longest standstill of fly, in s ({TIMEOUT})"
+    )
+    limits.add_argument(
+        "--bag", metavar="DIR", type=Path, help="keep the bag of fly in this new directory"
+    )
+    result = parser.add_argument_group("result")
+    result.add_argument(
+        "--output", metavar="FILE", type=Path, help="draw the diagram: png, svg, pdf"
+    )
+    result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    options = parser.parse_args(arguments)
+    _check_method(options)
+    configuration = _flock(options)
+    birds = _birds(options, configuration)
+    low, high = _between(options)
+    check_picture(options.output)
+    if options.method == "exact":
+        from flock_sim.launcher.precompile import warm_equilibrium
+        from flock_sim.physics.flock import Flock
+        from flock_sim.theory.equilibrium import equilibrium
+        from flock_sim.theory.span_limits import exact_limits
+
+        warm_equilibrium(configuration.coupling)
+        begun = time.perf_counter()
+        found = exact_limits(configuration, birds, low, high)
+        how: dict[str, Any] = {"seconds": time.perf_counter() - begun}
+        how["as_given"] = bool(equilibrium(Flock.of(configuration)).exists[0])
+    elif options.method == "integrate":
+        found, how = _integrate(options, configuration, birds, low, high)
+    else:
+        from flock_tools.experiments.flown_limits import flown_limits
+
+        found, how = flown_limits(
+            configuration,
+            birds,
+            low,
+            high,
+            _points(options, GRID),
+            _how_flown(options, configuration),
+        )
+
+    from flock_tools.experiments.limits_text import as_json, described
+
+    facts = {
+        "birds": configuration.birds,
+        "coupling": configuration.coupling,
+        "method": options.method,
+        "limits": [as_json(limits, options.method != "exact") for limits in found],
+        "between": [low, high],
+        **how,
+    }
+    if options.json:
+        print_json(facts)
+    else:
+        print(described(found, facts))
+    if options.output is not None:
+        from flock_tools.figures.limits import draw_limits  # matplotlib takes 0.5 s to import
+
+        write_picture(draw_limits(found, configuration, low, high), options.output)
+        if not options.json:
+            print(f"drawn: {options.output}")
+    return 0
+
+
+def _integrate(
+    options: argparse.Namespace,
+    configuration: FlockConfiguration,
+    birds: Sequence[int],
+    low: float,
+    high: float,
+) -> tuple[list[Limits], dict[str, Any]]:
+    """Return the limits by the paper's protocol, and facts of the search."""
+    from flock_sim.console.progress import counter
+    from flock_sim.launcher.precompile import warm_reference
+    from flock_sim.theory.span_limits import search
+    from flock_tools.experiments.ensemble import Ensembles
+    from flock_tools.experiments.workers import workers
+
+    resolution = _resolution(RESOLUTION if options.resolution is None else options.resolution)
+    points = _points(options, ENDS)
+    warm_reference()  # the rate does not include loading compiled code
+    with workers(options.scheduler) as pool:
+        # Bisection if that keeps all workers busy, otherwise more sections per round.
+        sections = max(2, 1 + pool.count * LANES // (2 * len(birds)))
+        width = (high - low) / (points - 1)
+        rounds = math.ceil(math.log(width / resolution) / math.log(sections))
+        trials = 1 + len(birds) * (points + 1 + 2 * max(0, rounds) * (sections - 1))
+        with counter("integrating", "member-steps", trials * configuration.steps) as show:
+            fleet = Ensembles(configuration, pool, show)
+            begun = time.perf_counter()
+            found = search(
+                configuration,
+                birds,
+                low,
+                high,
+                resolution,
+                fleet.opened_gaps,
+                points - 1,
+                sections,
+            )
+            as_given = not fleet.opened_gaps(configuration.span_ratio)[0]
+            seconds = time.perf_counter() - begun
+    return found, {
+        "as_given": as_given,
+        "resolution": resolution,
+        "dt": configuration.dt,
+        "t_max": configuration.t_max,
+        "workers": pool.count,
+        "seconds": seconds,
+        "member_steps": fleet.member_steps,
+        "member_steps_per_second": fleet.member_steps / seconds,
+    }
+
+
+def _check_method(options: argparse.Namespace) -> None:
+    """Raise FlockError on an unknown method, or on an option that the method does not have."""
+    if options.method not in METHODS:
+        raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
+    for name, methods in OF_METHODS.items():
+        if getattr(options, name) is not None and options.method not in methods:
+            raise FlockError(
+                f"--{name} is for --method {' and '.join(methods)}: leave it out with "
+                f"{options.method}"
+            )
+
+
+def _points(options: argparse.Namespace, default: str) -> int:
+    text = default if options.points is None else options.points
+    return whole_number("--points", text, 2, MOST_POINTS)
+
+
+def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -> HowFlown:
+    processes = PROCESSES if options.processes is None else options.processes
+    timeout = TIMEOUT if options.timeout is None else options.timeout
+    if options.bag is not None and options.bag.exists():
+        raise FlockError(f"--bag {options.bag} exists: name a directory that does not")
+
+    from flock_tools.experiments.flown_limits import HowFlown
+
+    return HowFlown(
+        process_count("--processes", processes, configuration.birds, configuration.coupling),
+        positive_number("--timeout", timeout),
+        options.bag,
+    )
+
+
+def _flock(options: argparse.Namespace) -> FlockConfiguration:
+    from flock_tools.commands.options import check_links_exact
+
+    configuration = flock_configuration(options)
+    check_links_exact(configuration, "limits")
+    if configuration.birds < 2:
+        raise FlockError(f"birds = {configuration.birds}: limits need a formation, of 2 or more")
+    if configuration.members > 1:
+        raise FlockError(
+            f"span ratios of {configuration.members} members: limits are of one flock; give one "
+            "span ratio to each bird"
+        )
+    return configuration
+
+
+def _birds(options: argparse.Namespace, configuration: FlockConfiguration) -> list[int]:
+    if options.bird is None:
+        from flock_sim.theory.span_limits import modified_birds
+
+        return modified_birds(configuration)
+    return list(dict.fromkeys(whole_numbers("--bird", options.bird, 1, configuration.birds)))
+
+
+def _between(options: argparse.Namespace) -> tuple[float, float]:
+    ends = numbers(options.between)
+    low, high = ends if len(ends) == 2 else (math.nan, math.nan)
+    if not 0.0 < low < high < math.inf:
+        raise FlockError(
+            f"--between {shown(options.between)}: must be two span ratios LO,HI with 0 < LO < HI, "
+            f"such as {BETWEEN}"
+        )
+    return low, high
+
+
+def _resolution(text: str) -> float:
+    try:
+        resolution = float(text)
+    except ValueError:
+        resolution = math.nan
+    if not LEAST_RESOLUTION <= resolution < 1.0:
+        raise FlockError(
+            f"--resolution {shown(text)}: must be a number from {LEAST_RESOLUTION:g} to below 1"
+        )
+    return resolution
+
+
+def main() -> int:
+    """Run the `limits` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics of a recorded flock: `flock metrics RUN`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flock_sim.console.arguments import Parser, note, print_json, run_tool
+from flock_tools.commands.options import add_moment_option, moment
+
+if TYPE_CHECKING:
+    from flock_sim.recording.message_age import Deviation
+    from flock_sim.recording.run import Run
+
+DESCRIPTION = """\
+Say of a recorded run whether the flock holds together, how it is spaced, and what it saves.
+Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
+Of a free flight also how old what the birds knew was, and how far they are off the same flight in
+lockstep, which is integrated for that."""
+
+EXAMPLES = """\
+  ./flock metrics runs/demo
+  ./flock metrics runs/demo --at 500
+  ./flock metrics runs/demo --json | jq .speed_std"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Compute the metrics of a run and print them."""
+    parser = Parser("metrics", DESCRIPTION, EXAMPLES)
+    parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
+    add_moment_option(parser)
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
+    options = parser.parse_args(arguments)
+    time = moment(options)
+
+    from flock_sim.analysis.summary import summary
+    from flock_sim.recording.message_age import freshness
+    from flock_sim.recording.run import Run
+
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; what is whole of it is used")
+        metrics, fresh = run.metrics(time), freshness(run)
+        off = _deviation(run) if fresh else None
+    if options.json:
+        free = {**fresh.as_json(), "deviation": off.as_json()} if fresh and off else {}
+        print_json({**metrics.as_json(), **free})
+        return 0
+    print(summary(metrics))
+    if fresh and off:
+        print("\n".join([*fresh.told(), *off.told()]))
+    return 0
+
+
+def _deviation(run: Run) -> Deviation:
+    """Return the deviation of a free flight from the lockstep flight, which is integrated here."""
+    from flock_sim.console.progress import progress_bar
+    from flock_sim.recording.message_age import deviation
+
+    with progress_bar("in lockstep", run.configuration) as show:
+        return deviation(run, show)
+
+
+def main() -> int:
+    """Run the `metrics` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

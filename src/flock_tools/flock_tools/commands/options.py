@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several tools have, and a check of what they are given."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from flock_sim.console.arguments import shown
+from flock_sim.errors import FlockError
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
+
+
+def add_moment_option(parser: argparse.ArgumentParser) -> None:
+    """Add --at."""
+    parser.add_argument(
+        "--at", metavar="T", help="a recorded time, in b/U_min (the last recorded one)"
+    )
+
+
+def moment(options: argparse.Namespace) -> float | None:
+    """Return the time in b / U_min, None for the last. Raises FlockError on an invalid time."""
+    if options.at is None:
+        return None
+    try:
+        time = float(options.at)
+    except ValueError:
+        time = math.nan
+    if not 0.0 <= time < math.inf:
+        raise FlockError(f"--at {shown(options.at)}: must be a finite time, 0 or more")
+    return time
+
+
+def check_links_exact(configuration: FlockConfiguration, tool: str) -> None:
+    """Raise FlockError unless all links are `exact` and without faults."""
+    if not configuration.link_table.plain:
+        raise FlockError(
+            f"links {' '.join(configuration.links)}: {tool} solves the exact coupling, for links "
+            "that are `exact`, without faults; leave them out, or fly over them with `./flock fly`"
+        )

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A picture of a recorded flock, seen from above: `flock picture RUN`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from flock_sim.console.arguments import Parser, note, run_tool, whole_number
+from flock_tools.commands.options import add_moment_option, moment
+from flock_tools.commands.output import check_picture, write_picture
+
+MOST_TIMES = 2000
+"""Largest number of recorded rows that a curve is drawn through."""
+
+DESCRIPTION = """\
+Draw the formation at one moment, each bird coloured by the drag it saves, above the way the flock
+took there: the spread of its speeds and the spacings along its wings against time."""
+
+EXAMPLES = """\
+  ./flock picture runs/demo                                  writes runs/demo/formation.png
+  ./flock picture runs/demo --at 100 --output early.png
+  ./flock picture runs/three --member 2 --output second.pdf"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Draw a run and print the path of the picture."""
+    parser = Parser("picture", DESCRIPTION, EXAMPLES)
+    parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
+    add_moment_option(parser)
+    parser.add_argument(
+        "--member", metavar="M", default="1", help="which of the flocks flown at once (1)"
+    )
+    parser.add_argument(
+        "--output", metavar="FILE", type=Path, help="the picture (RUN/formation.png)"
+    )
+    options = parser.parse_args(arguments)
+    time = moment(options)
+    output = _output(options)
+    check_picture(output)
+
+    from flock_sim.recording.run import Run
+    from flock_tools.figures.run_history import draw
+    from flock_tools.runs.dataset import read
+
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; what is whole of it is drawn")
+        member = whole_number("--member", options.member, 1, run.configuration.members)
+        metrics = run.metrics(time)
+        rows = run.at().step // run.configuration.record_every + 1
+        history = read(run, stride=-(-rows // MOST_TIMES)).sel(member=member)
+        figure = draw(run.configuration, metrics, history, member)
+    write_picture(figure, output)
+    print(output)
+    return 0
+
+
+def _output(options: argparse.Namespace) -> Path:
+    if options.output is not None:
+        return Path(options.output)
+    from flock_sim.bag.directory import PICTURE_FILE
+
+    run = Path(options.run)
+    return (run if run.is_dir() else run.parent) / PICTURE_FILE
+
+
+def main() -> int:
+    """Run the `picture` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

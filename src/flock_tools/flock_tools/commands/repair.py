@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A valid bag from a damaged or truncated one: `flock repair RUN`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flock_sim.console.arguments import Parser, print_json, run_tool
+from flock_sim.errors import FlockError
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
+    from flock_sim.recording.run import Run
+
+DESCRIPTION = """\
+Write a proper bag from one whose recorder was killed, whose disk was full, whose end was torn off
+or which is damaged anywhere: with all messages that are whole, also behind what is damaged, a
+summary and metadata.yaml. Perturbations that no flight can have are left out. All of the bag is
+read; it is left as it is. ./flock fly --resume flies again what the new bag lacks.
+Exit status: 0 repaired, or nothing to repair; 2 no bag of Flock's, or no whole message in it."""
+
+EXAMPLES = """\
+  ./flock repair runs/torn                        writes runs/torn-repaired
+  ./flock repair runs/torn --output runs/whole --force"""
+
+
+@dataclass(frozen=True)
+class Damage:
+    """The damage of a bag, and its intact content."""
+
+    missing: str | None
+    """Description of what the bag lacks at its end; None: nothing."""
+    broken: str | None
+    """Description of the damaged places; None: all of the bag can be read."""
+    messages: int
+    """Number of intact messages in the whole bag."""
+    invalid: int
+    """Number of perturbations among them that are invalid or have the number of another."""
+    missing_steps: list[int]
+    """Recorded steps that are not intact: between intact steps or, by the summary, at the end."""
+
+    @property
+    def any(self) -> bool:
+        """Whether the bag needs a repair."""
+        return self.missing is not None or self.broken is not None or self.invalid > 0
+
+
+def examine(run: Run) -> Damage:
+    """Read all of `run`, and return its damage.
+
+    Raises FlockError if its beginning is damaged: the configuration or the list of topics.
+    """
+    from flock_sim.recording.flight_bag import check_grants, check_topics
+
+    if run.bag.message_counts is None:  # else a summary with a valid CRC lists the topics
+        check_topics(run.bag, run.configuration)
+    check_grants(run.bag, run.configuration, run.real_time_factor)
+    broken: list[str] = []
+    pushes, steps = _Pushes(run.configuration), _Steps(run.configuration)
+    messages = invalid = 0
+    for topic, _, data in run.bag.salvage(broken):
+        messages += 1
+        invalid += not pushes.take(topic, data)
+        steps.take(topic, data)
+    if broken and not pushes.numbers and run.bag.last_time is not None:
+        steps.end(run.bag.last_time)  # perturbations may have a later time than the last step
+    return Damage(run.bag.missing, "; ".join(broken) or None, messages, invalid, steps.missing)
+
+
+class _Pushes:
+    """Separates valid perturbations from invalid and repeated ones."""
+
+    def __init__(self, configuration: FlockConfiguration) -> None:
+        self._configuration = configuration
+        self.numbers: set[int] = set()
+
+    def take(self, topic: str, data: bytes) -> bool:
+        """Return whether a message is kept in the bag."""
+        from flock_sim.messages import topics
+        from flock_sim.recording.flight_bag import checked_push
+
+        if topic != topics.PERTURBATION_TOPIC:
+            return True
+        try:
+            number = checked_push(data, self._configuration).number
+        except FlockError:
+            return False
+        if number in self.numbers:
+            return False
+        self.numbers.add(number)
+        return True
+
+
+class _Steps:
+    """Finds the missing recorded steps of a bag. It takes the messages in their order."""
+
+    def __init__(self, configuration: FlockConfiguration) -> None:
+        from flock_sim.messages import topics
+
+        self._configuration = configuration
+        self._states = {topics.state_topic(bird) for bird in range(1, configuration.birds + 1)}
+        self._step = -1
+        self._birds = 0
+        self._next = 0
+        self.missing: list[int] = []
+
+    def take(self, topic: str, data: bytes) -> None:
+        """Register a message."""
+        from flock_sim.messages.types import State
+
+        if topic not in self._states:
+            return
+        try:
+            step = State.step_of(data)
+        except ValueError:
+            return
+        self._birds = self._birds + 1 if step == self._step else 1
+        self._step = step
+        if self._birds == len(self._states):
+            self._until(step)
+            self._next = step + self._configuration.record_every
+
+    def end(self, time: int) -> None:
+        """Register that steps were recorded up to the simulated `time`, in ns."""
+        flown = self._configuration
+        last = self._next
+        while last <= flown.steps and flown.stamp(last) <= time:
+            last += flown.record_every
+        self._until(last)
+
+    def _until(self, step: int) -> None:
+        self.missing.extend(range(self._next, step, self._configuration.record_every))
+
+
+def rewrite(run: Run, output: Path, *, replace: bool = False) -> int:
+    """Write the intact messages of `run` to a bag in the directory `output`.
+
+    The directory is empty or, with `replace`, holds a bag, which may be `run`. That bag is replaced
+    after all messages are written.
+
+    Returns the number of messages that are left out because they are not on Flock's topics. Raises
+    FlockError if `output` can't be written; no new bag is created then.
+    """
+    from flock_sim.messages import topics
+    from flock_sim.recording.flight_bag import has_stages
+    from flock_sim.recording.flight_writer import recording
+
+    grants = topics.GRANT_TOPIC in run.bag.topics
+    live = topics.PERTURBATION_TOPIC in run.bag.topics
+    foreign = 0
+    pushes = _Pushes(run.configuration)
+    with recording(
+        output,
+        run.configuration,
+        grants=grants,
+        stages=has_stages(run.bag),
+        live=live,
+        replace=replace,
+        factor=run.real_time_factor,
+    ) as whole:
+        try:
+            for topic, log_time, data in run.bag.salvage([]):
+                if pushes.take(topic, data):
+                    try:
+                        whole.bag.write(topic, log_time, data)
+                    except KeyError:
+                        foreign += 1
+            whole.bag.flush()
+            whole.bag.take_place()
+        except BaseException:
+            whole.bag.discard()
+            raise
+    return foreign
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Repair a bag and print what it lacks."""
+    parser = Parser("repair", DESCRIPTION, EXAMPLES)
+    parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag, or .mcap file")
+    parser.add_argument(
+        "--output", metavar="DIR", type=Path, help="directory of the new bag (RUN-repaired)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace the bag in --output")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    options = parser.parse_args(arguments)
+
+    from flock_sim.recording.output_directory import own_output
+    from flock_sim.recording.run import Run
+
+    directory = options.run if options.run.is_dir() else options.run.parent
+    output = options.output or directory.with_name(f"{directory.resolve().name}-repaired")
+    with Run(options.run) as run:
+        damage = examine(run)
+        if damage.any and damage.messages == 0:
+            raise FlockError(f"{run.path}: no message of it is whole; fly again")
+        foreign = 0
+        if damage.any:
+            with own_output(output, options.force) as owned:
+                foreign = rewrite(run, output, replace=owned.replaces)
+    facts = {
+        "run": str(options.run),
+        "output": str(output) if damage.any else None,
+        "missing": damage.missing,
+        "broken": damage.broken,
+        "missing_steps": damage.missing_steps,
+        "messages": damage.messages - foreign - damage.invalid,
+        "left_out": foreign,
+        "invalid_perturbations": damage.invalid,
+    }
+    if options.json:
+        print_json(facts)
+    else:
+        print(described(facts))
+    return 0
+
+
+def described(facts: Mapping[str, Any]) -> str:
+    """Return the result as text."""
+    if facts["output"] is None:
+        return f"{facts['run']} is complete: nothing to repair"
+    lines = [reason for reason in (facts["missing"], facts["broken"]) if reason]
+    if steps := facts["missing_steps"]:
+        lines.append(
+            f"{len(steps)} recorded steps are missing, from step {steps[0]} to step {steps[-1]}"
+        )
+    if facts["invalid_perturbations"]:
+        lines.append(
+            f"{facts['invalid_perturbations']} perturbations that no flight can have are left out"
+        )
+    if facts["left_out"]:
+        lines.append(f"{facts['left_out']} messages on topics that are not Flock's are left out")
+    lines.append(f"{facts['messages']} messages are whole, and in {facts['output']}")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the `repair` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

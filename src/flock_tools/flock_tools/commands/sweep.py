@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights of a flock over a grid of parameters: `flock sweep FILE`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flock_sim.console.arguments import (
+    Parser,
+    note,
+    positive_number,
+    print_json,
+    run_tool,
+    whole_number,
+)
+from flock_sim.launcher.partition import process_count
+from flock_sim.ros.discovery import prepare_discovery
+from flock_tools.commands.output import write_picture
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from flock_tools.experiments.sweep.specification import Sweep
+
+AT_ONCE = 250
+"""Members per flight: many, so that messages cost little, but few enough for small bags."""
+
+DESCRIPTION = """\
+Fly a flock for all values along some axes, many at once as members of one flight over ROS 2, and
+write what came of each member to one NetCDF file, sweep.nc, with the axes as coordinates, and one
+picture, sweep.png, both in --output beside the bags of the flights.
+FILE is YAML: `flock:` holds keys of a configuration file, common to all, and `axes:` the values of
+what differs, as a list or as {from: , to: , count: }:
+  span_ratio[I]                  wing span of bird I (also lambda_I)
+  position[I], speed[I]          what bird I is pushed by at the start, in b and U_min
+  link.KEY, link[I->J].KEY       of all links or one: model, delay, drop, interval, noise, seed ...
+  coupling, dt, cruise_speed ... keys of a configuration; each value has flights of its own
+Interrupted, by Ctrl-C or kill -9 at any time, the same command goes on: what is flown is not flown
+again, and a flight that was cut short is resumed. Another sweep in --output is refused.
+Exit status: 0 whatever becomes of the flocks; 1 a flight failed; 2 bad input."""
+
+EXAMPLES = """\
+  ./flock sweep delays.yaml                       writes runs/delays/sweep.nc, sweep.png
+  ./flock sweep delays.yaml --output runs/mine --processes 2 --json
+with delays.yaml:
+  flock:
+    birds: 7
+    links: ["linear:interval=5"]
+  axes:
+    span_ratio[2]: {from: 0.95, to: 1.05, count: 41}
+    link.delay: [0, 5, 10, 20]"""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Fly a sweep, or the rest of it, and print a summary."""
+    options = _parser().parse_args(arguments)
+    begun = time.monotonic()
+
+    from flock_tools.experiments.sweep.directory import SweepDirectory
+    from flock_tools.experiments.sweep.runner import fly_all
+    from flock_tools.experiments.sweep.specification import read
+
+    sweep = read(options.file)
+    at_once = whole_number("--members-at-once", options.members_at_once, 1)
+    flock = sweep.flock
+    processes = process_count("--processes", options.processes, flock.birds, flock.coupling)
+    how = [
+        *("--processes", str(processes)),
+        *("--timeout", str(positive_number("--timeout", options.timeout))),
+    ]
+    prepare_discovery()  # fails here, before files are replaced, rather than in each flight
+    flights = sweep.flights(at_once)
+    output = options.output if options.output is not None else Path("runs") / options.file.stem
+    directory = SweepDirectory(output)
+    plan = f"{sweep.text()}members_at_once: {at_once}\n"
+    with directory.held(plan, options.force):
+        note(f"{_told(sweep)}, {len(flights)} flight{'s' * (len(flights) > 1)} into {output}")
+        flown = fly_all(flights, directory, how)
+        if not flown:
+            note("all of it is flown: nothing to go on with")
+        # Imported after the flights: xarray and matplotlib take 1 s.
+        from flock_tools.experiments.sweep.dataset import dataset, netcdf
+        from flock_tools.figures.sweep import draw_sweep
+
+        bags = [directory.bag(flight) for flight in flights]
+        command = shlex.join(["./flock", "sweep", *arguments])
+        found = dataset(sweep, flights, bags, command)
+        directory.write(directory.data, netcdf(found))
+        write_picture(draw_sweep(found, sweep), directory.picture)
+    facts = {
+        "members": sweep.size,
+        "axes": {axis.name: len(axis.values) for axis in sweep.axes},
+        "holds": int(found.holds.sum()),
+        "diverged": int(found.diverged.sum()),
+        "flights": len(flights),
+        "flights_flown": flown,
+        "wall_seconds": time.monotonic() - begun,
+        "output": str(output),
+        "dataset": str(directory.data),
+        "picture": str(directory.picture),
+    }
+    if options.json:
+        print_json(facts)
+    else:
+        print(described(sweep, found, facts))
+    return 0
+
+
+def _parser() -> Parser:
+    parser = Parser("sweep", DESCRIPTION, EXAMPLES)
+    parser.add_argument("file", metavar="FILE", type=Path, help="what is swept: YAML, as above")
+    result = parser.add_argument_group("result")
+    result.add_argument(
+        "--output", metavar="DIR", type=Path, help="directory of the sweep (runs/NAME-OF-FILE)"
+    )
+    result.add_argument(
+        "--force", action="store_true", help="begin anew: replace the sweep in --output"
+    )
+    result.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
+    how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
+    how.add_argument(
+        "--members-at-once",
+        metavar="M",
+        default=str(AT_ONCE),
+        help=f"members of one flight, at most ({AT_ONCE})",
+    )
+    how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
+    how.add_argument(
+        "--timeout",
+        metavar="S",
+        default="60",
+        help="longest standstill of a flight before giving up, in s (60)",
+    )
+    return parser
+
+
+def described(sweep: Sweep, found: xr.Dataset, facts: dict[str, Any]) -> str:
+    """Return the result as text."""
+    speeds = found.mean_speed.where(found.diverged == 0)
+    lines = [
+        _told(sweep),
+        f"  hold together        {facts['holds']} of {facts['members']}",
+        f"  diverged             {facts['diverged']}",
+    ]
+    if facts["diverged"] < facts["members"]:
+        lines.append(
+            f"  mean speed           {float(speeds.min()):.6f} to {float(speeds.max()):.6f} U_min"
+        )
+    return "\n".join(
+        [
+            *lines,
+            f"flown: {facts['flights_flown']} of {facts['flights']} flights, "
+            f"{facts['wall_seconds']:.1f} s in all",
+            f"data:    {facts['dataset']}",
+            f"picture: {facts['picture']}",
+        ]
+    )
+
+
+def _told(sweep: Sweep) -> str:
+    axes = " x ".join(f"{axis.name} ({len(axis.values)})" for axis in sweep.axes)
+    return f"{sweep.size} member{'s' * (sweep.size > 1)}: {axes}"
+
+
+def main() -> int:
+    """Run the `sweep` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flock in space, for RViz and Foxglove, or as a picture: `flock view`."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flock_sim.configuration.options import flock_configuration
+from flock_sim.console.arguments import (
+    LONGEST,
+    Parser,
+    note,
+    positive_number,
+    run_tool,
+    whole_number,
+)
+from flock_sim.console.signals import Stop
+from flock_sim.console.stdout import results_only_on_stdout
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.ros.discovery import DOMAIN, NETWORK_HELP, prepare_discovery
+from flock_tools.commands.options import add_moment_option, moment
+from flock_tools.commands.output import check_picture, write_picture
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
+
+DESCRIPTION = """\
+Show a flock that is flown or played in space, in SI units: birds of true span, coloured by the
+drag they save, their wakes by where the air goes, their way through the formation, and the air on
+a plane behind the flock. Published, for RViz or any Foxglove bridge, are
+
+  /flock/view/markers      visualization_msgs/MarkerArray, in the frame flock
+  /flock/view/upwash       sensor_msgs/Image, 32FC1: upwash behind the flock, in m/s
+  /flock/view/transform    geometry_msgs/TransformStamped of flock, which moves with the leader, in
+                           world; on /tf, too, where tf2_msgs is installed
+
+--foxglove serves them to Foxglove without a bridge. docs/view.md tells more.
+Exit status: 0 picture written; 2 bad input, or nothing heard within --timeout; 130 Ctrl-C."""
+
+EXAMPLES = """\
+  ./flock view
+  ./flock view --foxglove                    then open ws://localhost:8765 in Foxglove
+  ./flock view --member 2 --rate 5
+  ./flock view --picture scene.png runs/demo"""
+
+FOXGLOVE_PORT = "8765"
+HOST = "127.0.0.1"
+LAST_PORT = 65535
+
+ORIGIN = re.compile(r"([a-z][a-z0-9+.-]*://[^/\s]*|null)/?", re.IGNORECASE)
+"""Origins of web pages in the form that a browser sends; null for an undisclosed origin."""
+
+MOST_REFUSALS = 10
+"""Largest number of refused web pages that are reported to the user."""
+
+FASTEST = 60.0
+"""Largest --rate, in Hz: more than the eye sees, and more than viewers draw."""
+
+
+def tool(arguments: Sequence[str]) -> int:
+    """Publish a flock until Ctrl-C, or draw it once."""
+    parser = Parser("view", DESCRIPTION, EXAMPLES)
+    parser.add_argument("--member", metavar="M", default="1", help="which member to show (1)")
+    parser.add_argument(
+        "--rate", metavar="HZ", default="10", help="how often to publish in a second, at most (10)"
+    )
+    parser.add_argument(
+        "--config", metavar="FILE", type=Path, help="what is flown, where no clock tells"
+    )
+    parser.add_argument(
+        "--timeout", metavar="S", default="10", help="how long to wait for a flock, in s (10)"
+    )
+    parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
+    server = parser.add_argument_group("Foxglove")
+    server.add_argument(
+        "--foxglove",
+        metavar="PORT",
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        help=f"serve a Foxglove WebSocket; on port {FOXGLOVE_PORT} if none is given, 0 is any",
+    )
+    server.add_argument(
+        "--host", metavar="HOST", help=f"on this address of this machine ({HOST}: for itself only)"
+    )
+    server.add_argument(
+        "--foxglove-origin",
+        metavar="URL",
+        action="append",
+        help="let web pages from there connect, such as https://app.foxglove.dev; may be repeated. "
+        "Programs, and pages that this machine serves, always may",
+    )
+    picture = parser.add_argument_group("picture")
+    picture.add_argument("--picture", metavar="FILE", type=Path, help="draw RUN, and end")
+    picture.add_argument(
+        "run", metavar="RUN", nargs="?", type=Path, help="directory of a bag, for --picture"
+    )
+    add_moment_option(parser)
+    options = parser.parse_args(arguments)
+    if options.picture is None:
+        return _show(options)
+    return _draw(options)
+
+
+def _draw(options: Namespace) -> int:
+    """Write a picture, and print its path."""
+    if options.run is None:
+        raise FlockError(f"--picture {options.picture}: of which RUN? name the directory of a bag")
+    if options.foxglove is not None:
+        raise FlockError("--picture and --foxglove exclude each other: leave one out")
+    time_shown = moment(options)
+    check_picture(options.picture, "--picture")
+
+    from flock_sim.recording.run import Run
+    from flock_tools.scene.picture import draw_scene, scene_of
+
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; what is whole of it is drawn")
+        member = whole_number("--member", options.member, 1, run.configuration.members)
+        figure = draw_scene(scene_of(run, time_shown, member - 1))
+    write_picture(figure, options.picture, "--picture")
+    print(options.picture)
+    return 0
+
+
+def _show(options: Namespace) -> int:
+    """Publish until Ctrl-C."""
+    for name, value in (("RUN", options.run), ("--at", options.at)):
+        if value is not None:
+            raise FlockError(
+                f"{name} {value}: is for --picture; ./flock play RUN lets a recorded flight be seen"
+            )
+    member = whole_number("--member", options.member, 1)
+    rate = positive_number("--rate", options.rate)
+    if rate > FASTEST:
+        raise FlockError(f"--rate {options.rate}: must be {FASTEST:g} or less")
+    timeout = positive_number("--timeout", options.timeout)
+    if options.host is not None and options.foxglove is None:
+        raise FlockError(f"--host {options.host}: is for --foxglove; give both")
+    origins = [origin(text) for text in options.foxglove_origin or ()]
+    if origins and options.foxglove is None:
+        raise FlockError(f"--foxglove-origin {origins[0]}: is for --foxglove; give both")
+    port = None
+    if options.foxglove is not None:
+        port = whole_number("--foxglove", options.foxglove, 0, LAST_PORT)
+
+    assumed = flock_configuration(options)
+    prepare_discovery(options.network)
+    stop = Stop(heed_interrupt=True)
+    address = (options.host or HOST, port, origins)
+    _publish(member, rate, timeout, assumed, address, stop)
+    return stop.exit_status
+
+
+def origin(text: str) -> str:
+    """Return `text` as the origin that a browser sends. Raises FlockError if it is none."""
+    match = ORIGIN.fullmatch(text)
+    if match is None:
+        raise FlockError(
+            f"--foxglove-origin {text}: must be of the form https://HOST or https://HOST:PORT, as "
+            "the browser names it"
+        )
+    return match[1].lower()
+
+
+def _publish(
+    member: int,
+    rate: float,
+    timeout: float,
+    assumed: FlockConfiguration,
+    address: tuple[str, int | None, Sequence[str]],
+    stop: Stop,
+) -> None:
+    """Publish the received flock until `stop`. Raises FlockError if no flock is received."""
+    # Imported here: a picture, or a report of bad input, does not need them.
+    from flock_tools.live.listener import first_sample, watching
+    from flock_tools.scene.viewer import FOXGLOVE_TYPES, MARKERS_TOPIC, Viewer
+
+    host, port, origins = address
+    with results_only_on_stdout(), ExitStack() as opened:
+        server = None
+        if port is not None:
+            try:
+                from flock_tools.scene.foxglove_server import FoxgloveServer
+            except ImportError:
+                raise FlockError(
+                    f"--foxglove {port}: needs `pip install --upgrade websockets`"
+                ) from None
+            server = opened.enter_context(
+                FoxgloveServer(host, port, FOXGLOVE_TYPES, origins, _refusals())
+            )
+        viewer, executor = opened.enter_context(
+            watching(lambda context: Viewer(context, member, assumed, server))
+        )
+        try:
+            sample = first_sample(viewer, executor, member, timeout, stop)
+        except RunFailed as error:
+            raise FlockError(str(error)) from error
+        if sample is None:
+            return
+        if not viewer.tells_flown:
+            note(
+                "note: no clock tells what is flown; SI units and drag saved are those of --config"
+            )
+        note(
+            f"showing {sample.birds} birds, member {sample.member} of {sample.members}, on "
+            f"{MARKERS_TOPIC}, ROS domain {os.environ.get(DOMAIN) or 0}; Ctrl-C ends it"
+        )
+        if server:
+            note(f"Foxglove: open the connection {server.address}")
+        while not stop:
+            viewer.publish()
+            until = time.monotonic() + period(rate)
+            while not stop and (left := until - time.monotonic()) > 0.0:
+                executor.spin_once(timeout_sec=left)
+
+
+def _refusals() -> Callable[[str], None]:
+    """Return a function that reports each refused web page to the user once."""
+    told: set[str] = set()
+
+    def refused(page: str) -> None:
+        if page in told or len(told) == MOST_REFUSALS:
+            return
+        told.add(page)
+        note(
+            f"note: Foxglove: refused a web page from {page}; if you trust it: "
+            f"--foxglove-origin {page}"
+        )
+
+    return refused
+
+
+def period(rate: float) -> float:
+    """Return the time between scenes, in s, at most LONGEST."""
+    return min(1.0 / rate, LONGEST)
+
+
+def main() -> int:
+    """Run the `view` executable."""
+    return run_tool(tool)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The limits that `limits` prints, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.theory.span_limits import NO_GAP, End, Limits
+
+
+def as_json(limits: Limits, tried: bool) -> dict[str, Any]:
+    """Return the limits of one bird. With `tried`, include the verdict on each tried span ratio."""
+    facts: dict[str, Any] = {"bird": limits.bird}
+    for side, end in (("lower", limits.lower), ("upper", limits.upper)):
+        facts[side] = end and end.ratio
+        facts[f"{side}_gap"] = end and end.gap
+        facts[f"{side}_parts"] = end and end.parts
+    facts["never"] = limits.never
+    if tried:
+        facts["tried"] = [
+            {"span_ratio": ratio, "holds": gap == 0, "gap": None if gap in (0, NO_GAP) else gap}
+            for ratio, gap in limits.tried
+        ]
+    return facts
+
+
+def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
+    """Return the limits as text."""
+    low, high = facts["between"]
+    lines = [
+        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios of "
+        f"{low:g} to {high:g} that keep the formation",
+    ]
+    digits = 12 if facts["method"] == "exact" else 2 - round(math.log10(facts["resolution"]))
+    width = digits + 3
+    lines.append(f"  bird   {'lower':<{width}}  opens   {'upper':<{width}}  opens")
+    for limits in found:
+        if limits.never:
+            lines.append(
+                f"  {limits.bird:4}   none: no span ratio of this bird was found that does"
+            )
+            continue
+        ends = [
+            f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
+            if end
+            else f"{f'{side} {edge:g}':<{width}}  {'':<5}"
+            for end, side, edge in ((limits.lower, "below", low), (limits.upper, "above", high))
+        ]
+        lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
+    if not facts["as_given"]:
+        lines.append(
+            "as given the flock can't fly in formation: intervals are those nearest to it"
+            if facts["method"] == "exact"
+            else f"as given the flock has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
+            "intervals are those nearest to it; a longer flight (--t-max) may settle"
+        )
+    lines += _how(facts)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _how(facts: dict[str, Any]) -> list[str]:
+    """Return the lines on how the limits were found."""
+    if facts["method"] == "exact":
+        return [f"computed in {facts['seconds']:.3f} s"]
+    done = (
+        f"to t = {facts['t_max']:g} in steps of {facts['dt']:g}: "
+        f"{facts['member_steps']:,} member-steps in {facts['seconds']:.1f} s, "
+        f"{facts['member_steps_per_second']:,.0f} a second"
+    )
+    if facts["method"] == "integrate":
+        return [f"flown {done}, {facts['workers']} workers"]
+    lines = [
+        f"flown over ROS 2 by {facts['birds']} birds in {facts['processes']} processes, "
+        f"{facts['members']} members at once,",
+        f"{done} ({facts['start_seconds']:.1f} s of them to start)",
+        f"time of the birds' processes: {_percent(facts['kernel_share'])} in the kernel, "
+        f"{_percent(facts['message_share'])} on messages, "
+        f"{_percent(facts['waiting_share'])} waiting",
+    ]
+    return [*lines, f"bag:   {facts['bag']}"] if facts["bag"] else lines
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _opens(end: End) -> str:
+    return f"gap {end.gap}" if end.gap else "none"

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results of a sweep, as an xarray.Dataset with a dimension for each axis."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import flock_sim
+from flock_sim.analysis.metrics import STABLE_BELOW, Metrics, measure
+from flock_sim.errors import FlockError
+from flock_sim.recording.run import Run, Snapshot
+from flock_tools.experiments.sweep.specification import Flight, Sweep
+
+PACKAGES = ("numpy", "numba", "xarray", "scipy", "mcap")
+"""Packages whose versions are attributes of the dataset."""
+
+BIRD, GAP = "bird", "gap"
+
+ATTRIBUTES = {
+    "mean_speed": ("mean speed of the birds at the end", "U_min"),
+    "speed_std": ("spread of the birds' speeds at the end, sigma_U", "U_min"),
+    "holds": (f"whether the flock holds together, sigma_U < {STABLE_BELOW:g}", "1"),
+    "diverged": ("whether positions or speeds are no finite numbers at the end", "1"),
+    "mean_drag_reduction": ("drag saved at the end, mean over the birds", "1"),
+    "mean_spacing": ("mean distance along the flight of neighbours at the end", "b"),
+    "flight": ("number of the flight", "1"),
+    "member": ("number of the member in its flight", "1"),
+    "drag_reduction": ("drag saved at the end, over that of the standard bird at cruise", "1"),
+    "position": ("streamwise position at the end", "b"),
+    "speed": ("speed at the end", "U_min"),
+    "spacing": ("streamwise position of bird i + 1 from bird i at the end", "b"),
+    BIRD: ("bird, from the tail of the left wing", "1"),
+    GAP: ("gap between bird i and bird i + 1", "1"),
+}
+"""Long name and unit of every variable, and of each coordinate that is not an axis."""
+
+
+def dataset(
+    sweep: Sweep, flights: Sequence[Flight], bags: Sequence[Path], command: str
+) -> xr.Dataset:
+    """Return the results of all members, read from the bags of all flights.
+
+    The dimensions are the axes, plus `bird` or `gap` for variables with one value for each. The
+    attributes are the sweep, the `command`, and versions.
+    """
+    values: dict[str, np.ndarray] = {}
+    for flight, bag in zip(flights, bags, strict=True):
+        members = list(flight.members)
+        for name, part in _values(flight, bag).items():
+            shape = (sweep.size, *part.shape[1:])
+            values.setdefault(name, np.empty(shape, part.dtype))[members] = part
+    axes = [axis.dimension for axis in sweep.axes]
+    birds = sweep.flock.birds
+    coordinates: dict[str, Any] = {axis.dimension: list(axis.values) for axis in sweep.axes}
+    coordinates[BIRD] = np.arange(1, birds + 1, dtype=np.int32)
+    if birds > 1:
+        coordinates[GAP] = np.arange(1, birds, dtype=np.int32)
+    found = xr.Dataset(
+        {
+            name: ([*axes, *_extra(name, array)], array.reshape(*sweep.shape, *array.shape[1:]))
+            for name, array in values.items()
+        },
+        coordinates,
+        _attributes(sweep, command),
+    )
+    for name, (long_name, units) in ATTRIBUTES.items():
+        if name in found.variables:
+            found[name].attrs = {"long_name": long_name, "units": units}
+    for axis in sweep.axes:
+        found[axis.dimension].attrs = {
+            "long_name": axis.long_name,
+            "units": axis.units,
+            "axis_name": axis.name,
+        }
+    return found
+
+
+def netcdf(found: xr.Dataset) -> bytes:
+    """Return a dataset as the bytes of a NetCDF 3 file with 64-bit offsets."""
+    for variable in found.variables.values():
+        variable.encoding["_FillValue"] = None  # nan means diverged, not missing
+    return bytes(found.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
+
+
+def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
+    """Return the results of a flight: arrays whose first dimension is the member."""
+    with Run(bag) as run:
+        end = run.at()
+    configuration = flight.configuration
+    if end.step != configuration.steps:
+        raise FlockError(f"{bag}: ends at step {end.step} of {configuration.steps}; fly it again")
+    metrics = measure(configuration, end.step, end.position, end.speed, end.interaction_drag)
+    return {
+        **_told(metrics, end),
+        "flight": np.full(configuration.members, flight.number, dtype=np.int32),
+        "member": np.arange(1, configuration.members + 1, dtype=np.int32),
+    }
+
+
+def _told(metrics: Metrics, end: Snapshot) -> dict[str, np.ndarray]:
+    finite = np.isfinite(end.position).all(axis=0) & np.isfinite(end.speed).all(axis=0)
+    values: dict[str, np.ndarray] = {
+        "mean_speed": metrics.mean_speed,
+        "speed_std": metrics.speed_std,
+        "holds": np.array(metrics.stable, dtype=np.int8),
+        "diverged": np.array(~finite, dtype=np.int8),
+        "mean_drag_reduction": metrics.mean_drag_reduction,
+        "drag_reduction": metrics.drag_reduction,
+        "position": end.position.T,
+        "speed": end.speed.T,
+    }
+    if metrics.birds > 1:
+        values["mean_spacing"] = np.abs(metrics.spacing).mean(axis=1)
+        values["spacing"] = metrics.spacing
+    return values
+
+
+def _extra(name: str, array: np.ndarray) -> list[str]:
+    """Return the dimension of a variable besides the axes, if it has one."""
+    return [GAP if name == "spacing" else BIRD] if array.ndim > 1 else []
+
+
+def _attributes(sweep: Sweep, command: str) -> dict[str, Any]:
+    versions = {"flock": flock_sim.__version__, "python": platform.python_version()}
+    versions |= {package: version(package) for package in PACKAGES}
+    return {
+        "title": f"sweep of {sweep.size} flocks along "
+        + ", ".join(axis.name for axis in sweep.axes),
+        "configuration": sweep.text(),
+        "command": command,
+        "versions": ", ".join(f"{package} {number}" for package, number in versions.items()),
+    }

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flies the flights of a sweep, one after the other, as `./flock fly` does."""
+
+from __future__ import annotations
+
+import ctypes
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from flock_sim.console.arguments import note
+from flock_sim.errors import RunFailed
+from flock_tools.experiments.sweep.directory import SweepDirectory
+from flock_tools.experiments.sweep.specification import Flight
+
+PR_SET_PDEATHSIG = 1
+
+GRACE = 15.0
+"""Longest wait for a flight to end before SIGTERM, and then before SIGKILL, in s."""
+
+_libc = ctypes.CDLL(None)
+
+
+def fly_all(flights: Sequence[Flight], directory: SweepDirectory, how: Sequence[str]) -> int:
+    """Fly the remaining flights with options `how` of `fly`, and return their number.
+
+    Raises RunFailed if a flight fails. The next call resumes that flight.
+    """
+    flown = 0
+    for flight in flights:
+        if directory.complete(flight):
+            continue
+        flown += 1
+        members = len(flight.members)
+        note(
+            f"flight {flight.number} of {len(flights)}: {members} member{'s' * (members > 1)} of "
+            f"{flight.configuration.birds} birds, {flight.configuration.steps} steps"
+        )
+        bag = str(directory.bag(flight))
+        if directory.begun(flight):
+            what = ["--resume", bag]
+        else:
+            file = directory.configuration(flight)
+            what = ["--config", str(file), "--output", bag, "--force"]
+        status = _fly([*what, *how], directory.lock)
+        if status:
+            raise RunFailed(
+                f"flight {flight.number} of {len(flights)} ended with status {status}: the same "
+                "command goes on with it"
+            )
+    return flown
+
+
+def _fly(arguments: Sequence[str], lock: int) -> int:
+    """Run `fly` and return its exit status. It ends with this process, and shares the lock."""
+    command = [sys.executable, "-P", "-m", "flock_sim.commands.fly", *arguments]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        pass_fds=[lock],
+        preexec_fn=_follow_parent,
+    ) as process:
+        try:
+            return process.wait()
+        except BaseException:
+            _end(process)
+            raise
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Make a flight end: it receives Ctrl-C, too; then SIGTERM and SIGKILL follow."""
+    for harder in (process.terminate, process.kill):
+        try:
+            process.wait(GRACE)
+            return
+        except subprocess.TimeoutExpired:
+            harder()
+
+
+def _follow_parent() -> None:
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

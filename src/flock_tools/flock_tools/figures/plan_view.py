@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A formation seen from above, drawn to scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+
+from flock_sim.analysis.metrics import Metrics
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_tools.figures.style import FAINT, INK, PALE
+
+# Light means little drag saved, dark means much. The lightest end is invisible on paper.
+DRAG_SAVED = LinearSegmentedColormap.from_list(
+    "drag saved", mpl.colormaps["viridis_r"](np.linspace(0.08, 1.0, 256))
+)
+
+OUTLINE = np.array(
+    [
+        (0.0, 0.15),
+        (0.04, 0.11),
+        (0.4, 0.1),
+        (0.75, 0.02),
+        (1.0, -0.12),
+        (0.72, -0.1),
+        (0.4, -0.1),
+        (0.07, -0.13),
+        (0.04, -0.22),
+        (0.0, -0.23),
+    ]
+)
+"""The right wing from above, flying upwards: (across, along) over the semi-span, nose to tail."""
+
+_NARROWEST = 10.0
+"""Least width that is shown, in b, so that a few birds are not drawn too large."""
+
+_MOST_NUMBERS = 15
+"""Largest number of birds for which each has its number."""
+
+_MOST_OUTLINED = 45
+"""Largest number of birds for which a dark outline leaves their colour visible."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One flock at one moment, arrays of shape (birds,); lengths in b from the leader."""
+
+    across: FloatArray
+    along: FloatArray
+    start: FloatArray
+    """`along` at the start of the flight."""
+    span_ratio: FloatArray
+    saved: FloatArray
+    """Drag reduction, in %."""
+    bottom: float
+    top: float
+    """Upper end of the range shown along the flight; `bottom` is its lower end."""
+
+    @classmethod
+    def of(cls, configuration: FlockConfiguration, metrics: Metrics, m: int) -> Scene:
+        """Return the scene of the flock with index `m`.
+
+        If the flock has come apart, the scene is around the median bird.
+        """
+        birds = configuration.birds
+        start = np.array([formation.start_position(bird, birds) for bird in range(1, birds + 1)])
+        along = metrics.position[m]
+        there = along[np.isfinite(along)]
+        middle = float(np.median(there)) if len(there) else 0.0
+        places = np.append(there, start)
+        shown = places[np.abs(places - middle) <= np.ptp(start) + 3.0]
+        return cls(
+            across=metrics.lateral[m],
+            along=along,
+            start=start,
+            span_ratio=configuration.span_ratio[:, m],
+            saved=100.0 * metrics.drag_reduction[m],
+            bottom=float(shown.min()) - 1.4,
+            top=float(shown.max()) + 1.2 + 0.03 * float(np.ptp(start)),
+        )
+
+    @property
+    def width(self) -> float:
+        """Width of the scene across the flight, in b."""
+        flock = 2.0 * float((np.abs(self.across) + self.span_ratio).max())
+        return max(_NARROWEST, 1.05 * flock + 1.0)
+
+    @property
+    def height(self) -> float:
+        """Height of the scene along the flight, in b."""
+        return self.top - self.bottom
+
+
+def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
+    """Draw the birds to scale, on top of the start. Mark birds outside of the scene."""
+    axes.set(
+        xlim=(-0.5 * scene.width, 0.5 * scene.width),
+        ylim=(scene.bottom, scene.top),
+        xlabel="lateral position $y_i$, from the leader (b; a standard wing spans 2b)",
+        ylabel="streamwise position $x_i$ (b)",
+    )
+    axes.set_aspect("equal")
+    axes.set_axisbelow(True)
+    axes.grid(color="#eceff1", linewidth=0.7)
+    axes.add_collection(
+        PolyCollection(
+            _wings(scene.across, scene.start, scene.span_ratio),
+            facecolors="#e9ecee",
+            edgecolors=PALE,
+            linewidths=0.5,
+        )
+    )
+    here = (scene.along >= scene.bottom) & (scene.along <= scene.top)
+    colours = ScalarMappable(saved_scale(scene.saved), DRAG_SAVED)
+    faces = np.where(
+        np.isfinite(scene.saved)[:, np.newaxis], colours.to_rgba(scene.saved), (1.0, 1.0, 1.0, 1.0)
+    )
+    axes.add_collection(
+        PolyCollection(
+            _wings(scene.across[here], scene.along[here], scene.span_ratio[here]),
+            facecolors=faces[here],
+            edgecolors=INK if len(faces) <= _MOST_OUTLINED else faces[here],
+            linewidths=0.4 if len(faces) <= _MOST_OUTLINED else 0.8,
+        )
+    )
+    _number(axes, scene, here)
+    _tell_who_left(axes, scene, here)
+    started = (scene.start >= scene.bottom) & (scene.start <= scene.top)
+    _explain(axes, start=bool(started.any()) and len(faces) > 1)
+    bar = figure.colorbar(colours, ax=axes, shrink=0.8, aspect=22, pad=0.015)
+    bar.set_label("drag reduction $\\eta_i$ (%)")
+    bar.outline.set_visible(False)
+    bar.locator = MultipleLocator(5.0)
+    bar.update_ticks()
+
+
+def saved_scale(saved: FloatArray) -> Normalize:
+    """Return the colour scale of drag reductions, in %.
+
+    A scale fitted to each picture would exaggerate negligible differences.
+    """
+    known = saved[np.isfinite(saved)]
+    return Normalize(
+        min(0.0, 5.0 * np.floor(known.min(initial=0.0) / 5.0)),
+        max(20.0, 5.0 * np.ceil(known.max(initial=0.0) / 5.0)),
+    )
+
+
+def _wings(across: FloatArray, along: FloatArray, span_ratio: FloatArray) -> list[FloatArray]:
+    """Return the outline of each bird."""
+    whole = np.concatenate([OUTLINE, OUTLINE[::-1] * (-1.0, 1.0)])
+    places = np.column_stack([across, along])
+    return [place + ratio * whole for place, ratio in zip(places, span_ratio, strict=True)]
+
+
+def _number(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
+    """Write the birds' numbers behind them. A large flock has some numbers, outside of it."""
+    birds = len(scene.across)
+    leader = formation.leader(birds)
+    small = birds <= _MOST_NUMBERS
+    every = 1 if small else 5 if birds <= 60 else 10
+    for i in np.flatnonzero(here):
+        bird = int(i) + 1
+        to_named = min(abs(bird - other) for other in (1, leader, birds))
+        if to_named and (bird % every or to_named < every / 2):
+            continue
+        side = int(np.sign(bird - leader))
+        axes.annotate(
+            str(bird),
+            (scene.across[i], scene.along[i] - (0.23 * scene.span_ratio[i] if small else 0.0)),
+            xytext=(0, -2) if small else (2 * side, 3),
+            textcoords="offset points",
+            ha="center" if small else {-1: "right", 0: "center", 1: "left"}[side],
+            va="top" if small else "bottom",
+            fontsize=8.5 if small else 7.5,
+            fontweight="bold" if bird == leader else "normal",
+        )
+
+
+def _tell_who_left(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
+    """Mark the birds outside of the scene, with their positions."""
+    known = np.isfinite(scene.along)
+    for i in np.flatnonzero(~here & known):
+        behind = scene.along[i] < scene.bottom
+        edge = scene.bottom if behind else scene.top
+        mark = "v" if behind else "^"
+        axes.plot(scene.across[i], edge, mark, color=INK, markersize=6, clip_on=False, zorder=5)
+        axes.annotate(
+            f"{i + 1} at {scene.along[i]:.0f} b".replace("-", "−"),
+            (scene.across[i], edge),
+            xytext=(0, 7 if behind else -7),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if behind else "top",
+            rotation=90,
+            fontsize=7.5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.0},
+        )
+    if not known.all():
+        lost = ", ".join(str(i + 1) for i in np.flatnonzero(~known))
+        text = f"without a finite position: {lost}" if known.any() else "no finite position"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center")
+
+
+def _explain(axes: Axes, start: bool) -> None:
+    """Draw the direction of flight, and name the grey birds."""
+    axes.annotate(
+        "flight",
+        (0.025, 0.97),
+        xytext=(0, -34),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="center",
+        fontsize=7.5,
+        color=FAINT,
+        arrowprops={"arrowstyle": "->", "color": FAINT, "linewidth": 0.9},
+    )
+    if start:
+        axes.text(
+            0.5,
+            0.03,
+            "grey: the start",
+            transform=axes.transAxes,
+            ha="center",
+            fontsize=7.5,
+            color=FAINT,
+        )

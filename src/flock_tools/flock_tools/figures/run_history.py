@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of a flock: the formation from above, and its history."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.arrays import FloatArray
+from flock_tools.figures.plan_view import Scene, draw_formation
+from flock_tools.figures.style import ALARM, FAINT, INK, STYLE, flock_name
+
+WIDTH = 9.0  # in
+MARGINS = 1.75  # in, beside the formation: labels and colour bar
+CURVES = 2.2  # in, height
+MOST_NAMED = 6
+"""Largest number of spacings that are named."""
+
+TIME = "time t (b/$U_\\mathrm{min}$)"
+
+
+def draw(
+    configuration: FlockConfiguration, metrics: Metrics, history: xr.Dataset, member: int
+) -> Figure:
+    """Return the picture of `member` (from 1) at the moment of `metrics`.
+
+    `history` is the history of the member from `dataset.load`, dims (time, bird).
+    """
+    scene = Scene.of(configuration, metrics, member - 1)
+    height = (WIDTH - MARGINS) * scene.height / scene.width
+    with mpl.rc_context(STYLE):
+        figure = Figure(
+            figsize=(WIDTH, height + CURVES + 1.75),
+            layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1),
+        )
+        grid = figure.add_gridspec(2, 2, height_ratios=(height, CURVES))
+        figure.suptitle(
+            _heading(configuration, metrics, member - 1), x=0.02, ha="left", fontsize=10
+        )
+        draw_formation(figure, figure.add_subplot(grid[0, :]), scene)
+        if configuration.birds == 1:
+            curves = [_speed(figure.add_subplot(grid[1, :]), history)]
+        else:
+            curves = [
+                _spread(figure.add_subplot(grid[1, 0]), history),
+                _spacings(figure.add_subplot(grid[1, 1]), history, metrics.leader),
+            ]
+        for axes in curves:
+            axes.set(xlabel=TIME, xlim=(0.0, max(float(history.time[-1]), configuration.dt)))
+            axes.axvline(metrics.t_final, color=FAINT, linewidth=0.8, linestyle=":", clip_on=False)
+    return figure
+
+
+def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str:
+    facts = []
+    if metrics.birds > 1:
+        together = "holds together" if metrics.stable[m] else "does not hold together"
+        facts = [together, f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
+    facts += [
+        f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
+        f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",
+    ]
+    return f"{flock_name(configuration, m)}\nt = {metrics.t_final:g}:  {',  '.join(facts)}"
+
+
+def _speed(axes: Axes, history: xr.Dataset) -> Axes:
+    """Draw the speed of a bird that flies alone."""
+    axes.plot(history.time, history.speed, color=INK, linewidth=1.2)
+    axes.set(ylabel="speed $U$ ($U_\\mathrm{min}$)")
+    axes.ticklabel_format(axis="y", useOffset=False)
+    return axes
+
+
+def _spread(axes: Axes, history: xr.Dataset) -> Axes:
+    """Draw sigma_U against time, and the threshold below which a flock is stable."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        spread: FloatArray = history.speed.std("bird", skipna=False).to_numpy()
+    # At the start all speeds are equal, so the spread is rounding error.
+    shown = np.isfinite(spread) & (spread > 0.0) & (history.time.to_numpy() > 0.0)
+    bottom = 0.5 * spread[shown].min(initial=STABLE_BELOW / 10.0)
+    top = 2.0 * spread[shown].max(initial=STABLE_BELOW * 10.0)
+    axes.set(
+        yscale="log", ylim=(bottom, top), ylabel="spread of speeds $\\sigma_U$ ($U_\\mathrm{min}$)"
+    )
+    axes.axhspan(bottom, STABLE_BELOW, color="#e8f0ea", linewidth=0)
+    axes.axhline(STABLE_BELOW, color=ALARM, linewidth=0.9)
+    axes.plot(history.time, np.where(shown, spread, np.nan), color=INK, linewidth=1.1)
+    axes.text(
+        0.02,
+        0.04,
+        f"stable below {STABLE_BELOW:g}",
+        transform=axes.transAxes,
+        color=ALARM,
+        fontsize=8,
+    )
+    return axes
+
+
+def _spacings(axes: Axes, history: xr.Dataset, leader: int) -> Axes:
+    """Draw the spacings along both wings against time, with a dashed right wing."""
+    time = history.time.to_numpy()
+    position = history.position.transpose("time", "bird").to_numpy()
+    with np.errstate(invalid="ignore"):
+        gap = np.diff(position, axis=1)
+    gap[:, leader - 1 :] *= -1.0
+    left = leader - 1
+    shades = mpl.colormaps["plasma"](np.linspace(0.0, 0.82, max(left, 2)))
+    for k in range(gap.shape[1]):
+        from_tail = k if k < left else gap.shape[1] - 1 - k
+        dashed = "-" if k < left else (0, (3, 3))
+        named = k in _spread_out(left)
+        axes.plot(
+            time,
+            gap[:, k],
+            color=shades[from_tail],
+            linewidth=1.0,
+            linestyle=dashed,
+            label=f"{k + 1} to {k + 2}" if named else None,
+        )
+    known = np.abs(gap[np.isfinite(gap)])
+    if known.max(initial=0.0) > 30.0:
+        axes.set_yscale("symlog", linthresh=10.0)
+    right = "; right wing dashed" if gap.shape[1] > left else ""
+    axes.set(ylabel=f"spacing (b{right})")
+    names = axes.legend(
+        title="birds",
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.04),
+        fontsize=7.5,
+        title_fontsize=7.5,
+        frameon=False,
+        handlelength=1.2,
+    )
+    names.set_in_layout(False)  # it uses the room below the colour bar
+    return axes
+
+
+def _spread_out(count: int) -> set[int]:
+    """Return up to MOST_NAMED indices below `count`, which include the first and the last."""
+    return {round(k) for k in np.linspace(0, count - 1, min(count, MOST_NAMED))}

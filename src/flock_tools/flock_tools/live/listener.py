@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that listens to any flock that is flown or played, without an effect on it."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor
+from rclpy.node import Node
+
+from flock_interfaces.msg import BirdState, Grant
+from flock_sim.console.signals import Stop
+from flock_sim.errors import RunFailed
+from flock_sim.messages import topics
+from flock_sim.ros.discovery import DOMAIN
+from flock_sim.ros.endpoints import latched
+from flock_sim.ros.process import executing, ros_context
+from flock_sim.ros.settings_check import check_settings
+from flock_tools.live.flock_monitor import Sample, View
+
+REFRESH = 0.25
+"""Interval between updates of the table, and between searches for topics, in s."""
+
+SETTLED = 1.0
+"""Time without a new bird after which all birds count as found, without a clock, in s."""
+
+DEPTH = 64
+"""Queue depth for the states of a bird. A flock that is faster than this node is sampled."""
+
+STATE_TOPIC = re.compile(re.escape(topics.NAMESPACE) + r"/bird_(\d+)/state")
+
+
+Listener = TypeVar("Listener", bound="Watcher")
+
+
+class Watcher(Node):
+    """Listens to the states of all birds that it finds, and to the grants of their clock."""
+
+    def __init__(self, context: Context, name: str = "watch") -> None:
+        """Create the node, whose name is `name` and the process id."""
+        super().__init__(
+            f"{name}_{os.getpid()}",
+            namespace=topics.NAMESPACE,
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.view = View()
+        self.birds: set[int] = set()
+        self._found_at = 0.0
+        self.create_subscription(
+            Grant, topics.GRANT_TOPIC, self.view.hear_grant, latched(1), raw=True
+        )
+        self.create_timer(REFRESH, self.look_around)
+
+    def look_around(self) -> None:
+        """Subscribe to newly found birds."""
+        for name, _ in self.get_topic_names_and_types():
+            match = STATE_TOPIC.fullmatch(name)
+            if match and int(match[1]) not in self.birds:
+                self.listen(int(match[1]), name)
+
+    def knows(self, sample: Sample) -> bool:
+        """Whether discovery is complete: by a grant, or without a clock and without new birds."""
+        if sample.coupling is not None:
+            return True
+        settled = time.monotonic() - self._found_at > SETTLED
+        return settled and self.count_publishers(topics.GRANT_TOPIC) == 0
+
+    def listen(self, bird: int, topic: str) -> None:
+        """Subscribe to the states of `bird`."""
+
+        def hear(data: bytes) -> None:
+            self.view.hear_state(bird, data)
+
+        self.birds.add(bird)
+        self._found_at = time.monotonic()
+        self.create_subscription(BirdState, topic, hear, latched(DEPTH), raw=True)
+
+
+@contextmanager
+def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Executor]]:
+    """Give the node that `make` creates, and its executor. Remove both at the end."""
+    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    try:
+        with executing("single", context) as executor:
+            watcher = make(context)
+            executor.add_node(watcher)
+            check_settings(context.get_domain_id())
+            yield watcher, executor
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def first_sample(
+    watcher: Watcher, executor: Executor, member: int, timeout: float, stop: Stop
+) -> Sample | None:
+    """Return the first sample of `member`; None on `stop`.
+
+    Raises RunFailed if no sample is received within `timeout` s.
+    """
+    deadline = time.monotonic() + timeout
+    while not stop:
+        sample = watcher.view.sample(watcher.birds, 1)
+        if sample is not None and watcher.knows(sample):
+            return watcher.view.sample(watcher.birds, member)
+        if time.monotonic() > deadline:
+            if sample is not None:
+                return watcher.view.sample(watcher.birds, member)
+            heard = f"only birds {sorted(watcher.birds)}" if watcher.birds else "no flock"
+            raise RunFailed(
+                f"{heard} heard within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
+                f" fly or play one there, set {DOMAIN} to its domain, or give a longer --timeout"
+            )
+        executor.spin_once(timeout_sec=0.1)
+    return None

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Selects the topics of a bag that can be played, their types and their quality of service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import yaml
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
+
+from flock_sim.bag.reading.reader import BagReader, Stream
+from flock_sim.errors import FlockError, nearest
+from flock_tools.playback.message_types import installed_hash, message_class
+
+DEFAULT_DEPTH = 10
+
+DEEPEST = 100_000
+"""Largest queue depth that is offered, in messages."""
+
+NUMBERS = {
+    "history": {1: "keep_last", 2: "keep_all"},
+    "reliability": {1: "reliable", 2: "best_effort"},
+    "durability": {1: "transient_local", 2: "volatile"},
+}
+"""The numbers in bags of ROS 2 before Jazzy, and the words that Jazzy writes instead."""
+
+HISTORY = {"keep_all": HistoryPolicy.KEEP_ALL}
+RELIABILITY = {"best_effort": ReliabilityPolicy.BEST_EFFORT}
+DURABILITY = {"transient_local": DurabilityPolicy.TRANSIENT_LOCAL}
+"""Policies that are not the default."""
+
+
+@dataclass(frozen=True)
+class Playable:
+    """A topic that can be played: its message class and its quality of service."""
+
+    type: Any
+    qos: QoSProfile
+    streams: tuple[Stream, ...] = ()
+    """The streams of the bag with its messages."""
+    publishers: int = 1
+    """Number of recorded publishers, by their QoS profiles."""
+
+    @property
+    def latched(self) -> bool:
+        """Whether late joiners receive the last messages."""
+        return bool(self.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The topics to play, by their expanded names.
+
+    `skipped` gives, by name, the reason why other topics, or some channels of these, are left out.
+    `notes` lists other changes from the recording.
+    """
+
+    topics: Mapping[str, Playable]
+    skipped: Mapping[str, str]
+    notes: Sequence[str] = ()
+
+    @property
+    def streams(self) -> list[Stream]:
+        """The streams of the bag that are read."""
+        return [stream for topic in self.topics.values() for stream in topic.streams]
+
+
+def select(bag: BagReader, wanted: Sequence[str] | None) -> Selection:
+    """Return the topics of `bag` to play: all that can be played, or those `wanted`.
+
+    Raises FlockError if a wanted topic is not in the bag or can't be played, or if no topic can.
+    """
+    found: dict[str, list[Stream]] = {}
+    for stream in bag.streams:
+        found.setdefault(expanded(stream.topic), []).append(stream)
+    for name in wanted or ():
+        if expanded(name) not in found:
+            raise FlockError(f"--topics {name}: {nearest(name, sorted(found))}")
+    topics: dict[str, Playable] = {}
+    skipped: dict[str, str] = {}
+    notes: list[str] = []
+    for name in dict.fromkeys(map(expanded, wanted) if wanted else found):
+        topic, reasons = _playable(bag, name, found[name])
+        if reasons:
+            skipped[name] = "; ".join(reasons)
+        if topic is not None:
+            topics[name] = topic
+            if topic.qos.depth > DEEPEST:
+                notes.append(f"{name}: its queue of {topic.qos.depth} messages is cut to {DEEPEST}")
+                topic.qos.depth = DEEPEST
+        elif wanted:
+            raise FlockError(f"--topics {name}: {skipped[name]}")
+    if not topics:
+        reasons = [f"{name}: {reason}" for name, reason in skipped.items()]
+        raise FlockError(
+            f"{bag.path}: no topic of it can be played ({'; '.join(reasons) or 'it has none'})"
+        )
+    return Selection(topics, skipped, notes)
+
+
+def expanded(name: str) -> str:
+    """Return a recorded name as ROS 2 expands it in a node without a namespace."""
+    return name if name.startswith(("/", "~")) else f"/{name}"
+
+
+def recorded_qos(text: str) -> QoSProfile:
+    """Return the profile that publishers offered, as rosbag2 writes it in a channel's metadata.
+
+    Several profiles with the same durability and reliability give these and the deepest queue. If
+    they differ, or if the text can't be read, the profile is reliable, volatile, keep-last 10.
+    Deadline, lifespan and liveliness are left out.
+    """
+    return _merged(_profiles(text))
+
+
+def _profiles(text: str) -> list[QoSProfile]:
+    try:
+        return [_profile(entry) for entry in yaml.safe_load(text) or ()]
+    except (yaml.YAMLError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError):
+        return []
+
+
+def _merged(profiles: Sequence[QoSProfile]) -> QoSProfile:
+    kinds = {(profile.durability, profile.reliability) for profile in profiles}
+    if len(kinds) != 1:
+        return QoSProfile(depth=DEFAULT_DEPTH)
+    return max(profiles, key=lambda each: (each.history == HistoryPolicy.KEEP_ALL, each.depth))
+
+
+def _profile(entry: Mapping[str, Any]) -> QoSProfile:
+    def word(key: str) -> str:
+        said = entry.get(key)
+        return str(NUMBERS[key].get(said, said) if isinstance(said, int) else said)
+
+    history, reliability, durability = word("history"), word("reliability"), word("durability")
+    return QoSProfile(
+        history=HISTORY.get(history, HistoryPolicy.KEEP_LAST),
+        depth=max(1, int(entry.get("depth") or DEFAULT_DEPTH)),
+        reliability=RELIABILITY.get(reliability, ReliabilityPolicy.RELIABLE),
+        durability=DURABILITY.get(durability, DurabilityPolicy.VOLATILE),
+    )
+
+
+def _playable(
+    bag: BagReader, name: str, streams: Sequence[Stream]
+) -> tuple[Playable | None, list[str]]:
+    """Return the playable part of topic `name`, of one type, and why other streams are not."""
+    chosen: list[Stream] = []
+    kind: Any = None
+    reasons: list[str] = []
+    for stream in streams:
+        try:
+            its_kind = _class_of(bag, name, stream)
+        except ValueError as error:
+            reasons.append(str(error))
+            continue
+        if kind is None or its_kind is kind:
+            kind = its_kind
+            chosen.append(stream)
+        else:
+            reasons.append(f"its messages of type {stream.type}, since {chosen[0].type} is played")
+    if kind is None:
+        return None, list(dict.fromkeys(reasons))
+    told = {
+        channel.metadata.get("offered_qos_profiles", "")
+        for stream in chosen
+        for channel in bag.streams[stream]
+    }
+    profiles = [_profiles(text) for text in told]
+    publishers = max(1, *map(len, profiles))
+    playable = Playable(kind, _merged([*chain(*profiles)]), tuple(chosen), publishers)
+    return playable, list(dict.fromkeys(reasons))
+
+
+def _class_of(bag: BagReader, name: str, stream: Stream) -> Any:
+    """Return the message class. Raises ValueError, with the reason, if it can't be played."""
+    if stream.encoding != "cdr":
+        raise ValueError(f"its messages are encoded as {stream.encoding!r}, not as cdr")
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException as error:
+        raise ValueError("its name is none that ROS 2 allows") from error
+    if not stream.type:
+        raise ValueError("it has no schema, which would tell the type of its messages")
+    kind = message_class(stream.type)
+    _check_definition(stream, [channel.metadata for channel in bag.streams[stream]])
+    return kind
+
+
+def _check_definition(stream: Stream, metadata: Iterable[Mapping[str, str]]) -> None:
+    """Raise ValueError if the recorded definition is not the installed one."""
+    recorded = {entry["topic_type_hash"] for entry in metadata if entry.get("topic_type_hash")}
+    if recorded and (installed := installed_hash(stream.type)) and recorded != {installed}:
+        raise ValueError(f"its type {stream.type} has another definition here than in the bag")

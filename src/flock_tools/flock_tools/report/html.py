@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a report: one self-contained HTML file that makes no network requests."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jinja2 import Environment, FileSystemLoader
+from markupsafe import Markup
+
+from flock_sim import __version__
+from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.parameter_file import PARAMETERS, SECTION
+from flock_sim.physics.arrays import FloatArray
+from flock_tools.report.data import Reported
+from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, rows, verdict
+
+PAGE = Path(__file__).parent / "assets"
+
+SCRIPTS = ("chart.js", "pictures.js", "report.js")
+"""Scripts that draw the pictures, in the order of loading."""
+
+FLAGS = {
+    "birds": "--birds",
+    "coupling": "--coupling",
+    "dt": "--dt",
+    "t_max": "--t-max",
+    "record_every": "--record-every",
+    "span_ratios": "--span-ratio",
+    "perturbations": "--perturb",
+    "links": "--link",
+}
+"""Options of configuration keys; the other keys are given by a file."""
+
+
+def page(runs: Sequence[Reported]) -> bytes:
+    """Return the HTML of a report on `runs` with equal numbers of birds.
+
+    Equal runs give equal bytes. All content of bags is shown as text: the template escapes it, and
+    the embedded data is JSON without `<`. By the page's own policy, only the script with the digest
+    in it can run, and network requests are not possible.
+    """
+    script = "\n" + "\n".join((PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
+    text = environment.get_template("report.html").render(
+        title=_listed([run.name for run in runs]),
+        verdicts=[verdict(run, len(runs) > 1) for run in runs],
+        units=_units(runs),
+        cards=cards(runs[0]) if len(runs) == runs[0].metrics.members == 1 else [],
+        warnings=[run.missing for run in runs if run.missing],
+        columns=COLUMNS,
+        rows=rows(runs),
+        remarks=_remarks(runs),
+        names=[run.name for run in runs],
+        configuration=_configuration(runs),
+        files=[(run.name, _parameter_file(run)) for run in runs],
+        provenance=[{"name": run.name, "facts": _provenance(run)} for run in runs],
+        decimation=" ".join(_decimation(run, len(runs) > 1) for run in runs),
+        versions=f"Flock {__version__} with Python {platform.python_version()} "
+        f"and NumPy {np.__version__}",
+        style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),
+        script=Markup(script),
+        script_hash=f"sha256-{digest}",
+        data={"stable_below": STABLE_BELOW, "runs": [_embedded(run) for run in runs]},
+    )
+    # A path may hold bytes that are not valid text.
+    return text.encode("utf-8", "backslashreplace")
+
+
+def packed(values: FloatArray) -> dict[str, Any]:
+    """Return an array with its members first, as `chart.js` reads it: base64 of 32-bit floats.
+
+    `values` has shape (points, series, members) or (series, members). The result is transposed to
+    [members, series, points] or [members, series].
+    """
+    turned = values.T
+    with np.errstate(over="ignore"):
+        numbers = np.ascontiguousarray(turned, dtype="<f4")
+    return {
+        "shape": list(turned.shape),
+        "values": base64.b64encode(numbers.tobytes()).decode("ascii"),
+    }
+
+
+def _embedded(run: Reported) -> dict[str, Any]:
+    """Return the data of a run for the script."""
+    history, metrics = run.history, run.metrics
+    members = history.speed.shape[2]
+    flown = metrics.spacing[:members].T
+    steady, eigen = np.full_like(flown, np.nan), np.zeros((0, members), dtype=complex)
+    assessment = run.theory.assessment
+    if assessment is not None:
+        steady = assessment.state.spacing[:, :members]
+        if assessment.eigenvalues is not None:
+            eigen = assessment.eigenvalues[:members].T
+    arrays = {
+        "time": history.time,
+        "speed": history.speed,
+        "spacing": history.spacing,
+        "drag_reduction": history.drag_reduction,
+        "speed_std": history.speed_std,
+        "mean_drag_reduction": history.mean_drag_reduction,
+        "frame_time": history.frame_time,
+        "frame_position": history.frame_position,
+        "frame_drag_reduction": history.frame_drag_reduction,
+        "lateral": metrics.lateral[:members].T,
+        "span_ratio": run.configuration.span_ratio[:, :members],
+        "final_spacing": flown,
+        "steady_spacing": steady,
+        "linear_spacing": run.theory.linear[:, :members],
+        "off_exact": np.abs(flown - steady),
+        "off_linear": np.abs(flown - run.theory.linear[:, :members]),
+        "eigen_real": eigen.real,
+        "eigen_imag": eigen.imag,
+    }
+    return {
+        "name": run.name,
+        "birds": metrics.birds,
+        "leader": metrics.leader,
+        "members": members,
+        "member_names": [f": {differs(run, m)}" if differs(run, m) else "" for m in range(members)],
+        "t_final": metrics.t_final,
+        **{name: packed(values) for name, values in arrays.items()},
+    }
+
+
+def _member(run: Reported, m: int) -> str:
+    """Return the spans in which a member differs from the others; empty if none."""
+    ratio = run.configuration.span_ratio
+    odd = np.flatnonzero(np.ptp(ratio, axis=1) > 0.0)
+    return ", ".join(f"lambda_{bird + 1} = {ratio[bird, m]:g}" for bird in odd[:3])
+
+
+def _remarks(runs: Sequence[Reported]) -> list[str]:
+    """Return the remarks on the key numbers."""
+    remarks = [f"{run.name}: {run.theory.note}" for run in runs if run.theory.note]
+    members = sum(run.metrics.members for run in runs)
+    if members > MOST_ROWS:
+        remarks.append(f"The first {MOST_ROWS} of {members} members are listed.")
+    for run in runs:
+        shown = run.history.speed.shape[2]
+        if shown < run.metrics.members:
+            remarks.append(
+                f"{run.name}: pictures are of the first {shown} of {run.metrics.members} members; "
+                "more would not fit in one file."
+            )
+    return remarks
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def _units(runs: Sequence[Reported]) -> dict[str, str]:
+    """Return the units in SI if they are equal for all runs; otherwise empty."""
+    each = [
+        {
+            "b": f"{0.5 * run.configuration.wing_span:g} m",
+            "speed": f"{run.configuration.min_drag_speed:g} m/s",
+            "time": f"{1e3 * run.configuration.second:.4g} ms",
+        }
+        for run in runs
+    ]
+    return each[0] if all(units == each[0] for units in each) else {}
+
+
+def _parameter_file(run: Reported) -> str:
+    """Return the configuration file that repeats this flight, for `--config`."""
+    parameters = {SECTION: {PARAMETERS: run.configuration.parameters()}}
+    return yaml.safe_dump(parameters, sort_keys=False, allow_unicode=True)
+
+
+def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]]:
+    """Return for each key: the key, the value of each run, and whether the values differ."""
+    parameters = [run.configuration.parameters() for run in runs]
+    table = []
+    for key in parameters[0]:
+        values = [_value(each[key]) for each in parameters]
+        table.append((key, values, len(set(values)) > 1))
+    return table
+
+
+def _value(value: object) -> str:
+    if isinstance(value, list):
+        return "; ".join(value) or "none"
+    return str(value)
+
+
+def _provenance(run: Reported) -> list[tuple[str, str]]:
+    again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
+    if run.factor:
+        again = f"no two free flights are alike; in lockstep, {again}"
+    return [
+        ("flown by", f"Flock {run.flock_version}"),
+        ("command", f"{command(run)} (what was typed is not recorded; this flies the same flock)"),
+        ("to the bit", again),
+        *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
+        *[("SHA-256", digest) for _, _, digest in run.files],
+        ("pushes in flight", "; ".join(run.pushes) or "none"),
+        ("complete", run.missing or "yes"),
+    ]
+
+
+def command(run: Reported) -> str:
+    """Return the command that flies the flock of `run`, with options that are not defaults."""
+    flown, usual = run.configuration.parameters(), FlockConfiguration().parameters()
+    words = []
+    for key, value in flown.items():
+        if value != usual[key] and key in FLAGS:
+            each = value if isinstance(value, list) else [value]
+            words += [word for entry in each for word in (FLAGS[key], str(entry))]
+    if any(flown[key] != usual[key] for key in flown.keys() - FLAGS.keys()):
+        words += ["--config", "flock.yaml"]  # the page has this file, too
+    if run.factor:
+        words += ["--mode", "free", "--real-time-factor", f"{run.factor:g}"]
+    return shlex.join(["./flock", "fly", *words])
+
+
+def _decimation(run: Reported, named: bool) -> str:
+    """Return a description of the decimation of the bag's rows."""
+    history = run.history
+    curves = f"Curves go through all {history.rows} rows that were recorded"
+    if history.width > 1:
+        curves = (
+            f"Of the {history.rows} rows that were recorded, curves have the least and the largest "
+            f"value of every {history.width}, in the order in which they came: no peak is lost, "
+            "only when within these rows it was"
+        )
+    who = f"{run.name}: " if named else ""
+    return f"{who}{curves}. The formation is shown at {len(history.frame_time)} of them."

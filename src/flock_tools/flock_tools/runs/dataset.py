@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run as an xarray.Dataset."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from flock_sim.physics import formation
+from flock_sim.messages import topics
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.configuration.flock_configuration import EXAMPLES
+from flock_sim.messages.types import ARRAYS
+from flock_sim.errors import FlockError
+from flock_sim.recording.run import Run
+from flock_tools.runs.state_block import members_of, steps_of, values_of
+
+BLOCK = 4096
+"""Number of states that are decoded at once."""
+
+ATTRIBUTES = {
+    "time": ("time", "t", "b/U_min"),
+    "step": ("integration step", "", "1"),
+    "bird": ("bird, from the tail of the left wing", "i", "1"),
+    "member": ("member: one of the independent flocks flown at once", "", "1"),
+    "position": ("streamwise position of the wing's centre", "x_i", "b"),
+    "speed": ("speed", "U_i", "U_min"),
+    "circulation": ("circulation of the bound vortex", "Gamma_i", "b U_min"),
+    "interaction_drag": ("interaction drag; negative: drag saved", "sum_j D_ji", "rho b^2 U_min^2"),
+    "span_ratio": ("wing span over that of the standard bird", "lambda_i", "1"),
+    "lateral": ("lateral position of the wing's centre, from the leader", "y_i", "b"),
+}
+"""Long name, symbol in the paper and unit of every coordinate and variable."""
+
+
+def load(
+    path: str | Path, start: float | None = None, end: float | None = None, stride: int = 1
+) -> xr.Dataset:
+    """Return a recorded run from time `start` to `end` in b / U_min, every `stride`-th record.
+
+        run = load("runs/demo")
+        run.speed.std("bird").plot(yscale="log")
+
+    `position`, `speed`, `circulation` and `interaction_drag` have dims (time, bird, member),
+    `span_ratio` and `lateral` (bird, member), the coordinate `step` (time); all dimensionless, with
+    `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
+    the configuration, the leader and the unit of time in s. A truncated bag also has `missing`; its
+    last time is the last one that all birds have.
+
+    Raises FlockError if the bag does not exist, is not Flock's, or has nothing at these times.
+    """
+    with Run(path) as run:
+        return read(run, start, end, stride)
+
+
+def read(
+    run: Run, start: float | None = None, end: float | None = None, stride: int = 1
+) -> xr.Dataset:
+    """Return the dataset of an open run, as `load` does."""
+    for name, time in (("start", start), ("end", end)):
+        if time is not None and not math.isfinite(time):
+            raise FlockError(f"{name} = {time}: must be finite, or None for all there is")
+    if stride < 1:
+        raise FlockError(f"stride = {stride}: must be 1 or more")
+    configuration = run.configuration
+    every = configuration.record_every
+    interval = every * configuration.dt
+    first, last = 0, run.at().step // every
+    # The tolerance is for times such as 3 * 0.1, which rounding moves just beyond their row.
+    if start is not None:
+        first = max(first, math.ceil(start / interval - 1e-9))
+    if end is not None:
+        last = min(last, math.floor(end / interval + 1e-9))
+    if first > last:
+        raise FlockError(
+            f"{run.path}: no time from {start} to {end} was recorded; "
+            f"multiples of {interval:g} up to {run.at().time:g} are"
+        )
+    rows = range(first, last + 1, stride)
+    times = [configuration.time(row * every) for row in rows]
+    values = _values(run, rows)
+    ratio = configuration.span_ratio
+    dims = ("time", "bird", "member")
+    dataset = xr.Dataset(
+        {name: (dims, values[k]) for k, name in enumerate(ARRAYS)}
+        | {
+            "span_ratio": (dims[1:], ratio),
+            "lateral": (dims[1:], formation.lateral_positions(ratio)),
+        },
+        {
+            "time": times,
+            "step": ("time", np.array(rows) * every),
+            "bird": np.arange(1, configuration.birds + 1),
+            "member": np.arange(1, configuration.members + 1),
+        },
+        _attributes(run),
+    )
+    for name, (long_name, symbol, units) in ATTRIBUTES.items():
+        dataset[name].attrs = {"long_name": long_name, "units": units}
+        if symbol:
+            dataset[name].attrs["symbol"] = symbol
+    return dataset
+
+
+def _values(run: Run, rows: range) -> FloatArray:
+    """Return the recorded values of `rows`, shape (4, rows, birds, members); nan if not recorded."""
+    configuration = run.configuration
+    birds = range(1, configuration.birds + 1)
+    column = {topics.state_topic(bird): bird - 1 for bird in birds}
+    values = np.full((len(ARRAYS), len(rows), len(birds), configuration.members), np.nan)
+    states: list[bytes] = []
+    birds_of_states: list[int] = []
+
+    def place() -> None:
+        row, rest = np.divmod(steps_of(states), configuration.record_every)
+        row, off = np.divmod(row - rows.start, rows.step)
+        due = (rest == 0) & (off == 0) & (row >= 0) & (row < len(rows))
+        arrays = values_of(states, configuration.members)[due]
+        values[:, row[due], np.array(birds_of_states)[due]] = arrays.swapaxes(0, 1)
+        states.clear()
+        birds_of_states.clear()
+
+    start = configuration.stamp(rows[0] * configuration.record_every)
+    end = configuration.stamp(rows[-1] * configuration.record_every) + 1
+    for topic, _, data in run.bag.messages(list(column), start, end):
+        if members_of(data) != configuration.members:
+            raise FlockError(
+                f"{run.path}: {topic}: a state is not as Flock writes it for "
+                f"{configuration.members} members; take another copy of the bag"
+            )
+        states.append(data)
+        birds_of_states.append(column[topic])
+        if len(states) == BLOCK:
+            place()
+    if states:
+        place()
+    return values
+
+
+def _attributes(run: Run) -> dict[str, Any]:
+    """Return the attributes of the whole run, in types that NetCDF supports."""
+    configuration = run.configuration
+    attributes = configuration.parameters()
+    for key in EXAMPLES:  # lists, which NetCDF does not support
+        attributes[key] = " ".join(attributes[key]) or "none"
+    attributes["leader"] = formation.leader(configuration.birds)
+    attributes["second"] = configuration.second
+    if run.missing:
+        attributes["missing"] = run.missing
+    return attributes

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene as the messages that RViz and Foxglove draw, serialised as CDR.
+
+rclpy converts a message number by number, which is too slow for a scene of about ten thousand
+points. A test compares these bytes with the generated message types.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from flock_sim.messages.types import ENCAPSULATION, FRAME, align, put
+from flock_sim.physics.arrays import FloatArray
+from flock_tools.scene.shapes import Kind, Scene, Shape
+from flock_tools.scene.snapshot import Moment
+
+WORLD = "world"
+"""The frame in which the air is at rest. Its x is the position in the birds' states."""
+
+MARKERS = "visualization_msgs/msg/MarkerArray"
+IMAGE = "sensor_msgs/msg/Image"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+ADD, DELETE_ALL = 0, 3
+
+ENCODING = "32FC1"
+"""Encoding of the image: one float32 per pixel, in m/s."""
+
+
+def markers(scene: Scene, anew: bool) -> bytes:
+    """Return a MarkerArray. With `anew`, it first removes all earlier markers."""
+    data = bytearray(ENCAPSULATION)
+    put(data, "I", len(scene.shapes) + anew)
+    if anew:
+        _put_marker(data, scene.moment.stamp, Shape("", 0, Kind.LINE), DELETE_ALL)
+    for shape in scene.shapes:
+        _put_marker(data, scene.moment.stamp, shape, ADD)
+    return bytes(data)
+
+
+def image(scene: Scene) -> bytes:
+    """Return an Image of the upwash behind the flock, seen from behind."""
+    rows, columns = scene.upwash.shape
+    data = bytearray(ENCAPSULATION)
+    _put_header(data, scene.moment.stamp, FRAME)
+    _put_all(data, "II", (rows, columns))
+    put(data, "text", ENCODING)
+    _put_all(data, "BI", (0, 4 * columns))
+    put(data, "I", scene.upwash.nbytes)
+    data += scene.upwash.astype("<f4").tobytes()
+    return bytes(data)
+
+
+def transform(moment: Moment) -> bytes:
+    """Return a TransformStamped from FRAME, which moves with the flock, to WORLD."""
+    data = bytearray(ENCAPSULATION)
+    _put_transform(data, moment)
+    return bytes(data)
+
+
+def transforms(moment: Moment) -> bytes:
+    """Return the same as a TFMessage, the type of /tf."""
+    data = bytearray(ENCAPSULATION)
+    put(data, "I", 1)
+    _put_transform(data, moment)
+    return bytes(data)
+
+
+def _put_transform(data: bytearray, moment: Moment) -> None:
+    _put_header(data, moment.stamp, WORLD)
+    put(data, "text", FRAME)
+    _put_all(data, 7 * "d", (moment.origin * moment.metre, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+
+
+def _put_header(data: bytearray, stamp: tuple[int, int], frame: str) -> None:
+    _put_all(data, "iI", stamp)
+    put(data, "text", frame)
+
+
+def _put_marker(data: bytearray, stamp: tuple[int, int], shape: Shape, action: int) -> None:
+    """Append a visualization_msgs/Marker, field by field."""
+    _put_header(data, stamp, FRAME)
+    put(data, "text", shape.group)
+    _put_all(data, 3 * "i", (shape.number, shape.kind, action))
+    _put_all(data, 10 * "d", (*shape.origin, 0.0, 0.0, 0.0, 1.0, *shape.scale))
+    # The colour of points without a colour of their own.
+    _put_all(data, 4 * "f", shape.colours[0])
+    _put_all(data, "iI?", (0, 0, False))  # lifetime, frame_locked
+    _put_points(data, shape.points, "<f8")
+    _put_points(data, shape.colours if len(shape.points) else shape.points, "<f4")
+    put(data, "text", "")  # texture_resource, and the texture itself
+    _put_header(data, (0, 0), "")
+    put(data, "text", "")
+    _put_all(data, 2 * "I", (0, 0))  # its data, uv_coordinates
+    put(data, "text", shape.text)
+    put(data, "text", "")  # mesh_resource, and the mesh itself
+    put(data, "text", "")
+    _put_all(data, "I?", (0, False))
+
+
+def _put_points(data: bytearray, points: FloatArray, kind: str) -> None:
+    put(data, "I", len(points))
+    if len(points):
+        align(data, np.dtype(kind).itemsize)
+        data += np.ascontiguousarray(points, dtype=kind).tobytes()
+
+
+def _put_all(data: bytearray, kinds: str, values: Iterable[float]) -> None:
+    """Append numbers, each of its kind."""
+    for kind, value in zip(kinds, values, strict=True):
+        put(data, kind, value)

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node that shows a flock in space."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from rclpy.context import Context
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import Image
+from visualization_msgs.msg import MarkerArray
+
+from flock_interfaces.msg import BirdWing
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages.types import BILLION, State, Wing
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.ros.endpoints import latched
+from flock_tools.live.flock_monitor import Sample
+from flock_tools.live.listener import Watcher
+from flock_tools.scene import messages
+from flock_tools.scene.shapes import Scene, scene
+from flock_tools.scene.snapshot import Moment
+
+if TYPE_CHECKING:
+    from flock_tools.scene.foxglove_server import FoxgloveServer
+
+MARKERS_TOPIC = f"{topics.NAMESPACE}/view/markers"
+UPWASH_TOPIC = f"{topics.NAMESPACE}/view/upwash"
+TRANSFORM_TOPIC = f"{topics.NAMESPACE}/view/transform"
+TF_TOPIC = "/tf"
+
+FOXGLOVE_TYPES = {
+    MARKERS_TOPIC: messages.MARKERS,
+    UPWASH_TOPIC: messages.IMAGE,
+    TF_TOPIC: messages.TRANSFORMS,
+}
+"""Topics offered to Foxglove, and their types. The transform is on /tf, as Foxglove expects."""
+
+WIDEST = 1000.0
+"""Span ratio from which a received wing is ignored."""
+
+TRAIL = 600
+"""Largest number of moments of a trail."""
+
+
+class Frame:
+    """A moment as serialised messages. Each is created when it is first used."""
+
+    def __init__(self, moment: Moment, trail: Sequence[FloatArray], anew: bool) -> None:
+        """Store the moment. With `anew`, the markers first remove all earlier ones."""
+        self.moment = moment
+        self.trail = trail
+        self.anew = anew
+
+    @property
+    def stamp(self) -> int:
+        """Simulated time, in ns."""
+        seconds, nanoseconds = self.moment.stamp
+        return seconds * BILLION + nanoseconds
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene of the moment."""
+        return scene(self.moment, self.trail)
+
+    @cached_property
+    def markers(self) -> bytes:
+        """A MarkerArray."""
+        return messages.markers(self.scene, self.anew)
+
+    @cached_property
+    def image(self) -> bytes:
+        """An Image."""
+        return messages.image(self.scene)
+
+    @cached_property
+    def transform(self) -> bytes:
+        """A TransformStamped."""
+        return messages.transform(self.moment)
+
+    @cached_property
+    def transforms(self) -> bytes:
+        """A TFMessage."""
+        return messages.transforms(self.moment)
+
+
+class Viewer(Watcher):
+    """Publishes one member of a flock as markers, at each call of `publish`.
+
+    It publishes only on its own topics, and creates only messages that have a listener.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        member: int,
+        assumed: FlockConfiguration,
+        foxglove: FoxgloveServer | None,
+    ) -> None:
+        """Show `member`, from 1. `assumed` is the configuration if no clock gives one."""
+        super().__init__(context, "view")
+        self._member = member
+        self._assumed = assumed
+        self._foxglove = foxglove
+        self._wings: dict[int, Wing] = {}
+        self._trail: deque[FloatArray] = deque(maxlen=TRAIL)
+        self._frame: Frame | None = None
+        self._shown: State | None = None
+        self._outlets: list[tuple[Publisher, Callable[[Frame], bytes]]] = [
+            (self.create_publisher(MarkerArray, MARKERS_TOPIC, 1), lambda frame: frame.markers),
+            (self.create_publisher(Image, UPWASH_TOPIC, 1), lambda frame: frame.image),
+            (
+                self.create_publisher(TransformStamped, TRANSFORM_TOPIC, 1),
+                lambda frame: frame.transform,
+            ),
+        ]
+        if kind := _tf_message():
+            outlet = self.create_publisher(kind, TF_TOPIC, 100)
+            self._outlets.append((outlet, lambda frame: frame.transforms))
+
+    def listen(self, bird: int, topic: str) -> None:
+        """Subscribe to the wing of `bird`, too."""
+
+        def hear(data: bytes) -> None:
+            with suppress(ValueError):  # invalid wings
+                wing = Wing.decode(data)
+                if np.all((wing.span_ratio > 0.0) & (wing.span_ratio < WIDEST)):
+                    self._wings[bird] = wing
+
+        super().listen(bird, topic)
+        self.create_subscription(BirdWing, topics.wing_topic(bird), hear, latched(1), raw=True)
+
+    def knows(self, sample: Sample) -> bool:
+        """Whether discovery is complete, with the wings of all birds."""
+        return super().knows(sample) and self._moment() is not None
+
+    @property
+    def tells_flown(self) -> bool:
+        """Whether a clock has given the configuration."""
+        return self.view.flown is not None
+
+    def publish(self) -> None:
+        """Send the latest complete step to all listeners."""
+        frame = self._framed()
+        if frame is None:
+            return
+        for outlet, bytes_of in self._outlets:
+            if outlet.get_subscription_count():
+                outlet.publish(bytes_of(frame))
+        if self._foxglove:
+            self._foxglove.tell_time(frame.stamp)
+            self._foxglove.publish(MARKERS_TOPIC, frame.stamp, lambda: frame.markers)
+            self._foxglove.publish(UPWASH_TOPIC, frame.stamp, lambda: frame.image)
+            self._foxglove.publish(TF_TOPIC, frame.stamp, lambda: frame.transforms)
+
+    def _framed(self) -> Frame | None:
+        """Return the latest complete step, also if it is unchanged; None if there is none."""
+        row = self.view.row(self.birds, self._member)
+        before = self._frame
+        if before and row and row[0] is self._shown:
+            if before.anew:  # markers are removed only once
+                self._frame = Frame(before.moment, before.trail, anew=False)
+            return self._frame
+        moment = self._moment()
+        if moment is None:
+            return None
+        gone_back = self._shown is not None and row[0].step <= self._shown.step
+        if before is None or gone_back or len(before.moment.position) != len(row):
+            self._trail.clear()
+        else:
+            self._trail.append(before.moment.along)
+        anew = before is None or before.moment.known.tolist() != moment.known.tolist()
+        self._shown, self._frame = row[0], Frame(moment, list(self._trail), anew)
+        return self._frame
+
+    def _moment(self) -> Moment | None:
+        """Return the latest complete step; None while a bird or a wing is missing."""
+        row = self.view.row(self.birds, self._member)
+        flown = self.view.flown
+        ratios = flown.span_ratio if flown else self._span_ratios(row)
+        if not row or ratios is None:
+            return None
+        return Moment.of(flown or self._assumed, row, ratios, self._member - 1)
+
+    def _span_ratios(self, row: Sequence[State]) -> FloatArray | None:
+        """Return the span ratios from wings, shape (birds, members); None while one is missing.
+
+        Recorded states have run id 0, for any run id of their wings.
+        """
+        wings = [self._wings.get(bird + 1) for bird in range(len(row))]
+        ratios = [
+            wing.span_ratio
+            for wing, state in zip(wings, row, strict=True)
+            if wing is not None
+            and state.run_id in (0, wing.run_id)
+            and len(wing.span_ratio) == len(state.position)
+        ]
+        return np.array(ratios) if row and len(ratios) == len(row) else None
+
+
+def _tf_message() -> Any:
+    """Return the message class of /tf; None without tf2_msgs, which has no wheel."""
+    try:
+        return import_module("tf2_msgs.msg").TFMessage
+    except ImportError:
+        return None

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A snapshot of a flock is one step of it, unchanged, for any order of messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flock_sim.analysis.metrics import measure
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import FlockError
+from flock_sim.messages.handshake import handshake
+from flock_sim.messages.types import Grant, State
+from flock_tools.live.flock_monitor import SILENT, View
+
+FLOCK = FlockConfiguration(birds=3, span_ratios=("1=0.9,1.0",), t_max=100.0)
+
+
+def values(step: int) -> np.ndarray:
+    """Return arrays of position, speed, circulation and drag; shape (4, birds, members)."""
+    return np.random.default_rng(step).normal(size=(4, 3, 2))
+
+
+def state(bird: int, step: int, run: int = 0) -> bytes:
+    return State.at(FLOCK, step, *values(step)[:, bird - 1], run_id=run).encode()
+
+
+def grant(run: int) -> bytes:
+    return Grant(run, 0, 100, 1.0, 1, handshake(FLOCK)).encode()
+
+
+class Observer:
+    """A view whose clock is set."""
+
+    def __init__(self) -> None:
+        self.time = 5.0
+        self.view = View(lambda: self.time)
+
+    def hear(self, *birds: int, step: int, run: int = 0) -> None:
+        for bird in birds:
+            self.view.hear_state(bird, state(bird, step, run))
+
+    def step(self) -> int | None:
+        sample = self.view.sample({1, 2, 3}, 1)
+        return sample.step if sample else None
+
+
+def test_the_sample_is_what_metrics_say_of_the_step() -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(7))
+    observer.hear(3, 1, 2, step=20)
+    position, speed, _, drag = values(20)
+    expected = measure(FLOCK, 20, position, speed, drag)
+    for m in range(2):
+        sample = observer.view.sample({1}, m + 1)
+        assert sample is not None
+        assert sample.position == expected.position[m].tolist()
+        assert sample.drag_reduction == expected.drag_reduction[m].tolist()
+        assert sample.speed == speed[:, m].tolist()
+        assert (sample.step, sample.time, sample.end, sample.leader) == (20, 20.0, 100, 2)
+        assert sample.hears == [[2], [1, 3], [2]]
+    with pytest.raises(FlockError, match=r"--member 3: must be in 1\.\.2"):
+        observer.view.sample({1}, 3)
+
+
+def test_only_steps_of_which_all_was_heard_are_shown() -> None:
+    observer = Observer()
+    observer.hear(1, 2, step=10)
+    assert observer.step() is None
+    observer.hear(3, step=10)
+    observer.hear(1, 2, step=20)
+    assert observer.step() == 10
+    observer.hear(3, step=20)
+    assert observer.step() == 20
+
+
+def test_a_flock_that_goes_back_is_followed() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=50)
+    assert observer.step() == 50
+    observer.hear(1, 2, 3, step=10)
+    assert observer.step() == 10
+
+
+def test_rate_and_ages_are_those_of_the_clock() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=0)
+    first = observer.view.sample({3}, 1)
+    assert first is not None
+    assert (first.rate, first.age, first.drag_reduction) == (None, [0.0] * 3, None)
+    observer.time += 0.5
+    observer.hear(1, 2, 3, step=100)
+    observer.hear(1, step=110)
+    observer.time += 0.25
+    second = observer.view.sample({3}, 1)
+    assert second is not None
+    assert second.age == [0.25] * 3
+    assert second.rate == pytest.approx(100 / 0.75)
+
+
+def test_a_flock_that_is_played_again_has_no_negative_rate() -> None:
+    observer = Observer()
+    for step in (80, 100):
+        observer.hear(1, 2, 3, step=step)
+        assert observer.view.sample({3}, 1) is not None
+        observer.time += 0.5
+    rates = []
+    for step in (0, 20, 40):
+        observer.hear(1, 2, 3, step=step)
+        sample = observer.view.sample({3}, 1)
+        assert sample is not None
+        rates.append(sample.rate)
+        observer.time += 0.5
+    assert rates == [None, 40.0, 40.0]
+
+
+@pytest.mark.parametrize("with_grant", [False, True])
+def test_states_of_other_lengths_are_none_of_the_flock(with_grant: bool) -> None:
+    observer = Observer()
+    if with_grant:
+        observer.view.hear_grant(grant(7))
+    observer.hear(1, 2, 3, step=10)
+    lengths = [(2, 2, 2, 1), (1, 2, 2, 2), (3, 2, 2, 2), (2, 0, 2, 2), (0, 0, 0, 0), (1, 1, 1, 1)]
+    for k, each in enumerate(lengths):
+        arrays = [np.ones(length) for length in each]
+        odd = State.at(FLOCK, 20 + k, *arrays, run_id=0).encode()
+        observer.hear(1, 3, step=20 + k)
+        observer.view.hear_state(2, odd)
+        for member in (1, 2):
+            sample = observer.view.sample({1, 2, 3}, member)
+            assert sample is not None
+            assert (sample.step, sample.members) == (10, 2)
+    observer.hear(1, 2, 3, step=50)
+    assert observer.step() == 50
+
+
+def test_a_bird_that_is_none_of_the_flock_hides_nothing() -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(7))
+    for bird in (0, 4, 10**9):
+        observer.view.hear_state(bird, state(1, 10))
+    observer.hear(1, 2, 3, step=10)
+    sample = observer.view.sample({1, 2, 3, 4, 10**9}, 1)
+    assert sample is not None
+    assert (sample.birds, sample.step) == (3, 10)
+
+
+def test_another_run_is_watched_once_the_first_is_silent() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=10, run=1)
+    observer.hear(1, 2, 3, step=90, run=2)
+    assert observer.step() == 10
+    observer.time += SILENT
+    observer.hear(1, 2, 3, step=20, run=2)
+    assert observer.step() == 20
+
+
+def test_what_is_no_message_changes_nothing() -> None:
+    observer = Observer()
+    observer.view.hear_grant(b"")
+    observer.view.hear_grant(Grant(7, 0, 100, 1.0, 1, "[1]").encode())
+    observer.view.hear_state(1, b"\0\1\0\0")
+    assert observer.view.sample(set(), 1) is None
