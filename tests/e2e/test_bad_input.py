@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bad input: one line that names value, range and fix; exit status 2; nothing written.
+"""Bad input gives one line with value, range and remedy, exit status 2, and no written files.
 
-The tools are called in this process, where a second costs nothing; a few go the whole way.
+Most tools are called in this process, which is fast. A few are started as processes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import pytest
 import yaml
 from mcap.writer import Writer
 
-from flock_sim import fly, reference
-from flock_sim.command_line import run_tool
-from flock_tools import compare, metrics, picture, report
-from terminal import Terminal, own_domain
+from flock_sim.commands import fly, reference
+from flock_sim.console.arguments import run_tool
+from flock_tools.commands import compare, metrics, picture, report
+from support.terminal import Terminal, own_domain
 
 Tool = Callable[[list[str]], int]
 Say = Callable[[str, list[str]], str]
@@ -208,7 +208,7 @@ def test_a_configuration_file_with_a_bad_value_is_refused_by_name(
 BROKEN = {
     "not YAML": (b"/**: [1\n", "line"),
     "not text": (b"\xff\xfe\x00", "UTF-8"),
-    "another section": (b"flock:\n  ros__parameters: {}\n", "'flock'"),
+    "no node": (b"/flock/bird*:\n  ros__parameters: {}\n", "'/flock/bird*'"),
     "keys at the top": (b"birds: 3\n", "'birds'"),
     "a list": (b"- birds\n", "`/**:`"),
     "a list of parameters": (b"/**:\n  ros__parameters: [birds]\n", "ros__parameters"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents tell a reader to type works, in their order, and prints what they say."""
+"""The commands in the documents work in their order, and print what the documents show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from markdown_it import MarkdownIt
 
-from terminal import Terminal
+from support.terminal import Terminal
 
 ROOT = Path(__file__).parents[2]
 

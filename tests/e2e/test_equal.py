@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""However it is flown, it is the same flight: to the bit, and each message once.
+"""Every way to fly gives the same flight: equal bit for bit, and each message once.
 
 The flights cover every pair of: processes 1, 2, 13; window 1, 8, 64; executor; coupling; spans as
 standard, of one bird, of three members. N = 1, 2, 8 and 13 are among them.
@@ -17,9 +17,9 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.run import Run
-from terminal import Terminal, open_terminal
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.recording.run import Run
+from support.terminal import Terminal, open_terminal
 
 Reference = Callable[[tuple[str, ...]], Path]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stability diagram, flown by real nodes, is the one that is integrated."""
+"""The stability diagram flown by real nodes equals the integrated one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from terminal import Terminal
+from support.terminal import Terminal
 
 LARGE_STEPS = ("--dt", 100, "--t-max", 1e5)
 """Steady flight is reached in steps of this size, too: e-folding takes a thousand and more."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free flights: complete bags, ages that can be, and near the lockstep flight; no way back."""
+"""Free flights: complete bags, possible ages, states near the lockstep flight, no recovery."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bags import last_step
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.flock import Flock
-from flock_sim.core.kernel import FloatArray
-from flock_sim.run import Run
-from terminal import Terminal
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock import Flock
+from flock_sim.recording.run import Run
+from support.bags import last_step
+from support.terminal import Terminal
 
-BIRD = "flock_sim.nodes.bird"
+BIRD = "flock_sim.nodes.bird_process"
 STEPS, EVERY = 60, 5
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", EVERY, "--span-ratio", "1=1.0,1.02")
 FREE = ("--mode", "free", "--link", "hold", "--real-time-factor")

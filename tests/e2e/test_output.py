@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tools print, where they write, and which of several values counts."""
+"""The output of tools, the places of their files, and the precedence of values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
-from terminal import TOOLS, Terminal
+from support.terminal import TOOLS, Terminal
 
 METRICS = {
     "birds", "members", "coupling", "dt", "steps", "t_final", "leader",
@@ -200,12 +200,21 @@ def test_steps_beyond_the_last_record_are_told(terminal: Terminal) -> None:
     assert "divides 25" in done.stderr
 
 
-def test_a_reader_that_has_enough_is_no_error(terminal: Terminal) -> None:
+@pytest.mark.parametrize("words", [("bag",), ("bag", "--json"), ("--help",)])
+def test_a_reader_that_has_enough_is_no_error(terminal: Terminal, words: tuple[str, ...]) -> None:
     terminal.well("reference", *SHORT, "--output", "bag")
     reading, writing = os.pipe()
     os.close(reading)
-    job = terminal.start("metrics", "bag", stdout=writing)
+    job = terminal.start("metrics", *words, stdout=writing)
     os.close(writing)
     done = job.wait()
-    assert "Traceback" not in done.stderr
-    assert "Exception" not in done.stderr
+    assert done.stderr == ""
+    assert done.status == 141
+
+
+def test_results_that_cannot_be_written_are_an_error_in_one_line(terminal: Terminal) -> None:
+    terminal.well("reference", *SHORT, "--output", "bag")
+    with open("/dev/full", "wb") as full:
+        done = terminal.start("metrics", "bag", stdout=full).wait()
+    assert done.status == 1
+    assert done.stderr == "error: standard output can't be written: No space left on device\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whoever dies comes back, and the bag at the end is the same to the bit."""
+"""Killed processes are restarted, and the bag at the end is equal bit for bit."""
 
 from __future__ import annotations
 
@@ -10,29 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from flock_sim.errors import FlockError
-from flock_sim.run import Run
-from terminal import Job, Terminal
+from flock_sim.recording.run import Run
+from support.bags import assert_stopped_as_the_reference, last_step
+from support.terminal import Job, Terminal
+from support.visitor import Visitor
 from torture import torture
 
-BIRD = "flock_sim.nodes.bird"
+BIRD = "flock_sim.nodes.bird_process"
 RECORDER = "flock_sim.nodes.recorder"
 
 STEPS = 12_000
-FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10, "--span-ratio", "2=0.97,1.03")
+ENDLESS = ("--birds", 3, "--t-max", 1e8, "--record-every", 10, "--span-ratio", "2=0.97,1.03")
+"""No kill comes too late for it."""
+FLOCK = (*ENDLESS, "--t-max", STEPS)
 
 
-def last_step(bag: Path) -> int:
-    """The last step that is on disk; -1 for none."""
-    try:
-        return Run(bag).at().step
-    except FlockError:
-        return -1
-
-
-def in_flight(terminal: Terminal, *how: object) -> Job:
+def in_flight(terminal: Terminal, *how: object, flock: tuple[object, ...] = FLOCK) -> Job:
     """Start a flight, and wait until some of it is on disk."""
-    job = terminal.start("fly", *FLOCK, *how, "--output", "bag", "--json")
+    job = terminal.start("fly", *flock, *how, "--output", "bag", "--json")
     job.until(lambda: last_step(terminal.directory / "bag") > 0)
     return job
 
@@ -53,22 +48,28 @@ def assert_as_undisturbed(terminal: Terminal) -> None:
 
 
 @pytest.mark.parametrize("who", ["a bird", "the recorder", "birds and recorder at once"])
-def test_who_is_killed_is_started_again_and_no_bit_changes(terminal: Terminal, who: str) -> None:
-    job = in_flight(terminal, "--processes", 2)
+def test_who_is_killed_is_started_again_and_no_bit_changes(
+    terminal: Terminal, visitor: Visitor, who: str
+) -> None:
+    job = in_flight(terminal, "--processes", 2, flock=ENDLESS)
+    killed = []
     if who != "the recorder":
-        kill(job.workers(BIRD)[0])
+        killed.append(job.workers(BIRD)[0])
     if who != "a bird":
-        kill(*job.workers(RECORDER))
+        killed += job.workers(RECORDER)
+    kill(*killed)
+    job.until(lambda: job.stderr.count("was killed by SIGKILL: started again") == len(killed))
+    before = last_step(terminal.directory / "bag")
+    job.until(lambda: last_step(terminal.directory / "bag") > before)
+    visitor.stop(job)
     done = job.wait()
-    assert done.status == 0, done.stderr
-    assert "was killed by SIGKILL: started again" in done.stderr
-    assert done.json["restarts"] == (2 if "once" in who else 1)
+    assert done.json["restarts"] == len(killed)
     assert done.json["rewinds"] >= 1
-    assert_as_undisturbed(terminal)
+    assert_stopped_as_the_reference(terminal, 3, 10, *ENDLESS)
 
 
 def test_a_bird_that_dies_again_and_again_ends_the_flight(terminal: Terminal) -> None:
-    job = in_flight(terminal, "--processes", 3)
+    job = in_flight(terminal, "--processes", 3, flock=ENDLESS)
     (poor, *_) = job.workers(BIRD)
     words = Path(f"/proc/{poor}/cmdline").read_bytes()
     deadline = time.monotonic() + 60.0
@@ -86,6 +87,7 @@ def test_a_bird_that_dies_again_and_again_ends_the_flight(terminal: Terminal) ->
 
 
 @pytest.mark.parametrize("moment", ["at once", "starting", "flying", "ending"])
+@pytest.mark.slow
 def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) -> None:
     bag = terminal.directory / "bag"
     job = terminal.start("fly", *FLOCK, "--processes", 2, "--output", "bag")
@@ -144,9 +146,11 @@ def test_what_cannot_be_resumed_is_refused_in_one_line(
     assert done.stderr == done.error + "\n"
 
 
+@pytest.mark.slow
 def test_a_short_torture(terminal: Terminal) -> None:
     said: list[str] = []
-    toll = torture(terminal, seed=11, kills=8, per_flight=4, lengths=[20000], say=said.append)
+    how = {"per_flight": 4, "lengths": [8000], "pace": 3.0}
+    toll = torture(terminal, seed=11, kills=8, **how, say=said.append)
     assert toll.killed == 8
-    assert toll.flights == len(said) == 2
+    assert toll.flights == len(said) >= 2  # one by `fly`, one by hand, more where they are fast
     assert toll.rewinds >= 1

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report in a real browser: it moves, asks nobody for anything, and can be read by everybody.
+"""The report in a real browser: animated, without network requests, and accessible.
 
-Chromium is the machine's own (`apt-get install chromium`); axe-core judges what can be accessed.
+Chromium is the machine's own (`apt-get install chromium`). axe-core checks the accessibility.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import axe_playwright_python
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from flock_sim import recording
-from flock_sim.core.configuration import FlockConfiguration
-from flock_tools.report import tool
-from unit.flights import record
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.recording import flight_writer
+from flock_tools.commands.report import tool
+from support.flights import record
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
@@ -56,7 +56,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         directory / "members", FlockConfiguration(t_max=100.0, span_ratios=("4=0.9,1.0,1.1",))
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "__version__", HOSTILE)
+        patch.setattr(flight_writer, "__version__", HOSTILE)
         markup = record(directory / "<script>x", FlockConfiguration(birds=3, t_max=20.0))
     runs = {
         "one": [one],
@@ -213,6 +213,7 @@ def test_members_and_runs_are_browsed(opened: Opener) -> None:
         ("compared", NARROW, "light"),
     ],
 )
+@pytest.mark.slow
 def test_axe_finds_nothing_amiss_and_nothing_is_wider_than_the_screen(
     opened: Opener, name: str, size: tuple[int, int], scheme: str
 ) -> None:

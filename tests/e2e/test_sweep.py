@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One command, one dataset: each member as `reference` flies it alone, whoever is killed."""
+"""A sweep writes one dataset. Each member equals the reference alone, also after kills."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import signal
 from pathlib import Path
 
 import numpy as np
+import pytest
 import xarray as xr
 
-from flock_sim import reference
-from flock_sim.command_line import run_tool
+from flock_sim.commands import reference
+from flock_sim.console.arguments import run_tool
 from flock_sim.errors import FlockError
-from flock_sim.run import Run
-from terminal import Job, Terminal
+from flock_sim.recording.run import Run
+from support.terminal import Job, Terminal
 
 RATIOS, DELAYS = ("0.97", "1.0", "1.04"), ("0", "3")
-STEPS = 3000
+STEPS = 8000
 FILE = f"""\
 flock:
   birds: 3
@@ -68,10 +69,11 @@ def kill(job: Job) -> None:
     job.wait()
 
 
+@pytest.mark.slow
 def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Terminal) -> None:
     runs = terminal.directory / "runs/s"
     job = started(terminal)
-    job.until(lambda: job.workers("flock_sim.fly"))
+    job.until(lambda: job.workers("flock_sim.commands.fly"))
     kill(job)
 
     job = started(terminal)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tools run within a test, as their users see them."""
+"""Runs of tools within the test process, with checks of their output."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from flock_sim.command_line import run_tool
+from flock_sim.console.arguments import run_tool
 
 Tool = Callable[[Sequence[str]], int]
 
 
 def json_of(tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    """Return the one JSON object on stdout, strictly read; nothing else may be said."""
+    """Return the one JSON object on stdout, strictly parsed. Stderr must be empty."""
     assert run_tool(tool, [*arguments, "--json"]) == 0
     told = capsys.readouterr()
     assert told.err == ""
@@ -23,13 +23,13 @@ def json_of(tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str) -> 
 
 
 def text_of(tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Return what a tool that must end well prints."""
+    """Return the output of a tool that must end without an error."""
     assert run_tool(tool, arguments) == 0
     return capsys.readouterr().out
 
 
 def error_of(tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Return the one line that bad input gets."""
+    """Return the single error line of a tool with bad input."""
     assert run_tool(tool, arguments) == 2
     told = capsys.readouterr()
     assert told.out == ""

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded flights for the tests of what reads them."""
+"""Recorded flights for the tests of their readers."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
-from flock_sim.core import topics
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.messages import Grant, State, Time, Wing
-from flock_sim.core.monolith import Monolith, Recorded
-from flock_sim.recording import recording
-from flock_sim.run import ARRAYS
+from flock_sim.commands.reference import row
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.messages.types import ARRAYS, Grant, State, Time, Wing
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.row_assembler import Row
+from flock_sim.reference.integrator import Recorded, Reference
 
 Change = Callable[[int, State], State | None]
-"""What becomes of a bird's state on its way into the bag; None: it is left out."""
+"""A change of a bird's state before it is written to the bag; None: it is left out."""
 
 
 def keep(bird: int, state: State) -> State:
@@ -32,14 +33,14 @@ def record(
     grants: bool = False,
     bird_by_bird: bool = False,
 ) -> Path:
-    """Record a flight, by default that of the configuration; return its directory.
+    """Record a flight, by default that of the configuration. Return its directory.
 
     `bird_by_bird` writes all states of bird 1, then all of bird 2, and so on.
     """
     birds = range(1, configuration.birds + 1)
     ratio = configuration.span_ratio if span_ratio is None else span_ratio
     rows = []  # (place in the bag, topic, stamp, data)
-    for recorded in Monolith(configuration).fly() if states is None else states:
+    for recorded in Reference(configuration).fly() if states is None else states:
         step = recorded.step
         stamp = configuration.stamp(step)
         if step == 0:
@@ -60,3 +61,8 @@ def record(
         for _, topic, stamp, data in sorted(rows, key=lambda row: row[0]):
             run.bag.write(topic, stamp, data)
     return directory
+
+
+def flown_rows(configuration: FlockConfiguration) -> list[Row]:
+    """Return every recorded step of a flight, as `Recording.write_row` takes it."""
+    return [row(configuration, recorded) for recorded in Reference(configuration).fly()]

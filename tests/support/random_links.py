@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random link models with all faults at once, for flights that must not depend on anything else."""
+"""Random link models with all faults, for flights that depend on the configuration only."""
 
 from __future__ import annotations
 
 from random import Random
 
-from flock_sim.core import formation
+from flock_sim.physics import formation
 
 FAULTS = {
     "delay": ["0", "1", "3"],
@@ -22,14 +22,14 @@ FAULTS = {
 
 
 def random_links(random: Random, birds: int, coupling: str, members: int) -> tuple[str, ...]:
-    """One for all links, and others for some; values differ among members now and then."""
+    """Return an entry for all links, and some for single links. Values may differ among members."""
     all_links = [
         (source, target)
         for target in range(1, birds + 1)
         for source in formation.neighbours(target, birds, coupling)
     ]
     single = random.sample(all_links, k=random.randint(0, len(all_links)))
-    # Where no link is exact, there are steps without an exchange.
+    # If no link is exact, some steps have no exchange.
     models = ["exact", "hold", "linear"][random.randint(0, 1) :]
     others = [f"{i}->{j}={random_model(random, models, members)}" for i, j in single]
     return (random_model(random, models, members), *others)

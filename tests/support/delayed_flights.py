@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of birds that see their neighbours a constant lag late, for the tests of lagged theory.
+"""Flights of birds that see their neighbours with a constant lag, for the tests of delayed theory.
 
-The delay differential equations themselves, integrated with the paper's formulas written a second
-time; nothing here comes from the core.
+They integrate the delay differential equations with an independent implementation of the paper's
+formulas. They use nothing of the core.
 """
 
 import numpy as np
 
-from unit.steady_flocks import H_0, MASS, STRENGTH, A, K, across, integral, surplus
+from support.steady_flocks import H_0, MASS, STRENGTH, A, K, across, integral, surplus
 
 
-class LaggedFlight:
-    """RK4 with steps of lag / `steps_a_lag`; what lies between two past steps is Hermite's cubic.
+class DelayedFlight:
+    """RK4 with steps of lag / `steps_a_lag`. Past states are interpolated by Hermite's cubic.
 
-    Arrays have shape (birds, members); members may differ in `lag` (members,), and so in their
-    steps. Before it starts all have flown at their speed for ever.
+    Arrays have shape (birds, members). Members may differ in `lag` (members,), and so in their
+    steps. Before the start, all birds have flown at their speed for ever.
     """
 
     def __init__(self, ratios, position, speed, lag, model, steps_a_lag, mass=MASS):
@@ -36,7 +36,7 @@ class LaggedFlight:
         self.past = [(position + t * speed, speed, 0.0 * speed) for t in back]
 
     def acceleration(self, position, speed, seen_position, seen_speed, seen_gain):
-        """dU/dt of all birds that see a past state of the others, and its dU/dt. Eq. (eom3)."""
+        """dU/dt of all birds from a past state of the others and its dU/dt. Eq. (eom3)."""
         seen_circulation = 1.0 / seen_speed
         if self.model == "linear":
             seen_position = seen_position + self.lag * seen_speed
@@ -48,7 +48,7 @@ class LaggedFlight:
         return K * force / (self.mass * self.ratios**3)
 
     def step(self):
-        """One step of all members, each by its own dt."""
+        """Advance all members by one step, each with its own dt."""
         dt, x, u = self.dt, self.position, self.speed
         x_0, u_0, a_0 = self.past[0]
         slope = self.acceleration(x, u, x_0, u_0, a_0)
@@ -70,7 +70,7 @@ class LaggedFlight:
         del self.past[0]
 
     def advance(self, steps):
-        """Go on by `steps`; return the positions before each, (steps, birds, members)."""
+        """Advance by `steps`. Return the positions before each, (steps, birds, members)."""
         seen = []
         for _ in range(steps):
             seen.append(self.position)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's formulas written a second time, for the tests of steady states.
+"""An independent implementation of the paper's formulas, for the tests of steady states.
 
-Nothing here comes from the core. Forces are in units of k, so that of e_O, C_D
-and AR only s = Gamma_min^2 / (2 pi k) is left; `of` is the library of functions: math, or mpmath's
-mp for more digits.
+It uses nothing of the core. Forces are in units of k, so that e_O, C_D and AR enter only by
+s = Gamma_min^2 / (2 pi k). `of` is the library of functions: math, or mpmath's mp for more digits.
 """
 
 import math
@@ -36,7 +35,8 @@ MASS = 3.8 / (1.225 * 0.75**3)
 def integral(x, y, a, b, of=math):
     """I = I_0 + I_+ + I_-, closed form of Eqs. (I0), (Ipm); x source minus target.
 
-    The four edges in I_0 add up to 0: each is taken from its root, so that I_0 is not 0/0 at x = 0.
+    The four edges in I_0 add up to 0. Each is subtracted from its root, so that I_0 is not 0/0 at
+    x = 0.
     """
     y = abs(y)
     edges = ((y + a + b, 1), (y - a - b, 1), (y + a - b, -1), (y - a + b, -1))
@@ -46,7 +46,7 @@ def integral(x, y, a, b, of=math):
 
 
 def even(y, a, b, of=math):
-    """E: what side by side is left of I, the logarithms of its edges."""
+    """E: the part of I that remains side by side, the logarithms of its edges."""
     return of.log((y + a + b) * (y - a - b) / ((y + a - b) * (y - a + b)))
 
 
@@ -59,7 +59,7 @@ def across(ratios):
 
 
 def pairs(birds, coupling):
-    """All (i, j), i < j, from 0, that feel each other."""
+    """All interacting pairs (i, j), i < j, from 0."""
     return [
         (i, j) for i in range(birds) for j in range(i + 1, birds) if coupling == "all" or j == i + 1
     ]
@@ -124,9 +124,9 @@ def steady_speed(ratios, coupling="nearest"):
 
 
 def shares_of_all_sets(ratios, speed, coupling="all"):
-    """The share of every proper set of birds (from 0) of what is saved between it and the others.
+    """The share of every proper set of birds (from 0) in the drag saved between it and the others.
 
-    What they need, less what they save among themselves, over what pairs across save.
+    It is the need of the set, less the drag saved within it, over the drag saved by pairs across.
     """
     birds, side = len(ratios), across(ratios)
     needed = [surplus(ratio, speed) for ratio in ratios]
