@@ -52,7 +52,14 @@ def main() -> int:
     samples: dict[int, list[float]] = {}
     names: dict[int, str] = {}
     with tempfile.TemporaryDirectory() as directory:
-        command = [sys.executable, "-P", "-m", "flock_sim.fly", "--t-max", str(options.steps)]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "flock_sim.commands.fly",
+            "--t-max",
+            str(options.steps),
+        ]
         command += ["--processes", str(options.processes), "--output", f"{directory}/bag"]
         flight = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         began = time.monotonic()

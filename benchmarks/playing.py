@@ -36,9 +36,9 @@ from std_msgs.msg import String
 
 from flock_interfaces import srv
 from flock_sim.bag.topic import Topic
-from flock_sim.bag.writer import BagWriter
-from flock_sim.discovery import held_domain, prepare_discovery, quiet_domains
-from flock_sim.nodes.process import ros_context
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.ros.discovery import held_domain, prepare_discovery, quiet_domains
+from flock_sim.ros.process import ros_context
 
 MILLISECOND = 1_000_000
 SPACING = 20 * MILLISECOND
@@ -86,7 +86,7 @@ def write(directory: Path, messages: int, size: int) -> None:
 
 @contextmanager
 def playing(*arguments: object) -> Iterator[subprocess.Popen[bytes]]:
-    command = [sys.executable, "-P", "-m", "flock_tools.play", *map(str, arguments)]
+    command = [sys.executable, "-P", "-m", "flock_tools.commands.play", *map(str, arguments)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as player:
         try:
             yield player

@@ -17,10 +17,12 @@ import time
 import numpy as np
 
 from flock_interfaces.msg import BirdStage
-from flock_sim.core import formation, messages, topics
-from flock_sim.discovery import prepare_discovery
-from flock_sim.nodes.endpoints import DrainedNode, latched
-from flock_sim.nodes.process import executing, ros_context
+from flock_sim.messages import topics
+from flock_sim.messages import types as messages
+from flock_sim.physics import formation
+from flock_sim.ros.discovery import prepare_discovery
+from flock_sim.ros.endpoints import DrainedNode, latched
+from flock_sim.ros.process import executing, ros_context
 
 ONE = np.ones(1)
 

@@ -21,9 +21,9 @@ from statistics import median
 from rich.console import Console
 from rich.table import Table
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.monolith import Monolith
-from flock_sim.shares import shares
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.launcher.partition import partition
+from flock_sim.reference.integrator import Reference
 
 BIRDS = 13
 RELAY = Path(__file__).with_name("relay.py")
@@ -37,7 +37,7 @@ def relay(kind: str, processes: int, steps: int, birds: int = BIRDS) -> float:
         subprocess.Popen(
             [*command, str(share[0]), str(share[-1])], stdout=subprocess.PIPE, text=True
         )
-        for share in shares(birds, processes)
+        for share in partition(birds, processes)
     ]
     times = [process.communicate(timeout=LIMIT)[0].split() for process in started]
     begun = min(float(first) for first, _ in times)
@@ -47,7 +47,15 @@ def relay(kind: str, processes: int, steps: int, birds: int = BIRDS) -> float:
 
 def fly(processes: int, steps: int, *options: str, birds: int = BIRDS) -> float:
     """Return the steps per second of a flight."""
-    command = [sys.executable, "-P", "-m", "flock_sim.fly", "--json", "--t-max", str(steps)]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "flock_sim.commands.fly",
+        "--json",
+        "--t-max",
+        str(steps),
+    ]
     command += ["--birds", str(birds), "--processes", str(processes), *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=True)
     return float(json.loads(done.stdout)["steps_per_second"])
@@ -62,7 +70,7 @@ def recorded(processes: int, steps: int) -> float:
 
 def reference(steps: int) -> float:
     """Return the steps per second of the reference's loop, every 10th step kept."""
-    flock = Monolith(FlockConfiguration(birds=BIRDS, t_max=float(steps)))
+    flock = Reference(FlockConfiguration(birds=BIRDS, t_max=float(steps)))
     begun = time.perf_counter()
     flock.advance(steps)
     return steps / (time.perf_counter() - begun)

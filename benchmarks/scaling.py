@@ -40,7 +40,7 @@ class Measured:
 
 def fly(birds: int, processes: int, steps: int, measured: Measured) -> None:
     """Fly without a bag; note rate, start and memory."""
-    command = [sys.executable, "-P", "-m", "flock_sim.fly", "--json", "--no-record"]
+    command = [sys.executable, "-P", "-m", "flock_sim.commands.fly", "--json", "--no-record"]
     command += ["--birds", str(birds), "--processes", str(processes), "--t-max", str(steps)]
     begun = time.monotonic()
     flight = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -82,7 +82,7 @@ def read(file: str) -> bytes:
 
 def discovery(birds: int, processes: int) -> tuple[int, int]:
     """Return bytes and packets over the loopback device in a flight of one step."""
-    command = [sys.executable, "-P", "-m", "flock_sim.fly", "--json", "--no-record"]
+    command = [sys.executable, "-P", "-m", "flock_sim.commands.fly", "--json", "--no-record"]
     command += ["--birds", str(birds), "--processes", str(processes), "--t-max", "1"]
     before = loopback()
     subprocess.run(command, stdout=subprocess.DEVNULL, timeout=LIMIT, check=True)
