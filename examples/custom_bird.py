@@ -8,14 +8,11 @@ prints the gaps and the speed in which such a flock ends.
 
 import numpy as np
 
-from flock_sim.core import formation
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.steering import View
-from flock_sim.nodes.bird import BirdNode
-from flock_sim.testing import fly_in_process
+from flock_sim import BirdNode, FlockConfiguration, Perception
+from flock_tools import fly
 
 FLOCK = FlockConfiguration(birds=5, t_max=1000.0, record_every=10)
-LEADER = formation.leader(FLOCK.birds)
+LEADER = (FLOCK.birds + 1) // 2
 
 SPEED, GAP = 1.2, 0.8
 """What is wanted, in U_min and b."""
@@ -27,19 +24,19 @@ DAMPING, STIFFNESS = 0.5, 0.02
 class GapKeeper(BirdNode):
     """A bird that is pulled forward where it is too slow, or the bird ahead of it too far."""
 
-    def control(self, view: View) -> np.ndarray:
+    def control(self, known: Perception) -> np.ndarray:
         """Return the force, one number a member."""
-        force = DAMPING * (SPEED - view.speed)
-        if view.bird != LEADER:
-            ahead = view.bird + (1 if view.bird < LEADER else -1)
-            gap = view.positions[view.neighbours.index(ahead)] - view.position
+        force = DAMPING * (SPEED - known.speed)
+        if known.bird != LEADER:
+            ahead = known.bird + (1 if known.bird < LEADER else -1)
+            gap = known.positions[known.neighbours.index(ahead)] - known.position
             force += STIFFNESS * (gap - GAP)
         return force
 
 
 def main() -> None:
     """Fly, and print what came of it."""
-    end = fly_in_process(FLOCK, bird=GapKeeper).isel(time=-1, member=0)
+    end = fly(FLOCK, bird=GapKeeper).isel(time=-1, member=0)
     gaps = np.diff(end.position.sel(bird=slice(1, LEADER)))
     print("gaps, tail to leader:", *(f"{gap:.9f}" for gap in gaps), f"b (wanted: {GAP})")
     print(f"speed: {float(end.speed.mean()):.9f} U_min (wanted: {SPEED})")

@@ -11,24 +11,21 @@ import sys
 
 import numpy as np
 
-from flock_sim.core.configuration import FlockConfiguration
-from flock_sim.core.links.model import LinkModel
-from flock_sim.core.links.registry import register
-from flock_sim.core.monolith import Monolith
-from flock_sim.testing import fly_in_process
+from flock_sim import FlockConfiguration, LinkModel, Reference, register
+from flock_tools import fly
 
 MEMORY = 20.0
 """Time in which the trust falls to 1/e, in b / U_min."""
 
 
-def know(
+def perceive(
     age: float, position: float, speed: float, circulation: float, rate: float
 ) -> tuple[float, float]:
     """Return the neighbour's position and circulation, as this bird believes them to be."""
     return position + speed * age, circulation * math.exp(-age / MEMORY)
 
 
-register(LinkModel("fading", know))
+register(LinkModel("fading", perceive))
 
 
 def main() -> int:
@@ -37,8 +34,8 @@ def main() -> int:
     for interval in (1, 10, 30):
         links = (f"fading:interval={interval}",)
         flock = FlockConfiguration(birds=5, t_max=1000.0, record_every=10, links=links)
-        flight = fly_in_process(flock)
-        reference = np.stack([recorded.speed for recorded in Monolith(flock).fly()])
+        flight = fly(flock)
+        reference = np.stack([recorded.speed for recorded in Reference(flock).fly()])
         equal &= np.array_equal(flight.speed, reference)
         speed = float(flight.speed[-1].mean())
         print(f"a message every {interval:2} steps: speed {speed:.12f} U_min at the end")

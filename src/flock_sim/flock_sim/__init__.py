@@ -1,4 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A laboratory for decentralised formation flight: the physics core and the ROS 2 nodes."""
+"""A laboratory for decentralised formation flight: the physics core and the ROS 2 nodes.
+
+The names in `__all__` are public. Each is imported when it is first used, so `import flock_sim`
+loads neither ROS nor NumPy.
+"""
+
+from typing import TYPE_CHECKING
+
+from flock_sim.public_names import importer
+
+if TYPE_CHECKING:
+    from flock_sim.analysis.metrics import Metrics as Metrics
+    from flock_sim.configuration.flock_configuration import FlockConfiguration as FlockConfiguration
+    from flock_sim.configuration.perturbation import Perturbation as Perturbation
+    from flock_sim.errors import FlockError as FlockError
+    from flock_sim.errors import RunFailed as RunFailed
+    from flock_sim.links.models import LinkModel as LinkModel
+    from flock_sim.links.registry import register as register
+    from flock_sim.nodes.bird import BirdNode as BirdNode
+    from flock_sim.physics.flock import Flock as Flock
+    from flock_sim.protocol.control_force import Perception as Perception
+    from flock_sim.recording.run import Run as Run
+    from flock_sim.reference.integrator import Reference as Reference
+    from flock_sim.theory.delay_stability import Crossing as Crossing
+    from flock_sim.theory.delay_stability import crossings as crossings
+    from flock_sim.theory.delayed_nearest import DelayedNearest as DelayedNearest
+    from flock_sim.theory.delayed_nearest import delayed_nearest as delayed_nearest
+    from flock_sim.theory.equilibrium import Equilibrium as Equilibrium
+    from flock_sim.theory.equilibrium import equilibrium as equilibrium
+    from flock_sim.theory.span_limits import Limits as Limits
+    from flock_sim.theory.span_limits import exact_limits as exact_limits
 
 __version__ = "0.1.0"
+
+_MODULES = {
+    "BirdNode": "nodes.bird",
+    "Crossing": "theory.delay_stability",
+    "DelayedNearest": "theory.delayed_nearest",
+    "Equilibrium": "theory.equilibrium",
+    "Flock": "physics.flock",
+    "FlockConfiguration": "configuration.flock_configuration",
+    "FlockError": "errors",
+    "Limits": "theory.span_limits",
+    "LinkModel": "links.models",
+    "Metrics": "analysis.metrics",
+    "Perception": "protocol.control_force",
+    "Perturbation": "configuration.perturbation",
+    "Reference": "reference.integrator",
+    "Run": "recording.run",
+    "RunFailed": "errors",
+    "crossings": "theory.delay_stability",
+    "delayed_nearest": "theory.delayed_nearest",
+    "equilibrium": "theory.equilibrium",
+    "exact_limits": "theory.span_limits",
+    "register": "links.registry",
+}
+"""The module below this package that defines each public name."""
+
+__all__ = list(_MODULES)
+
+if not TYPE_CHECKING:  # so that mypy knows every name
+    __getattr__ = importer(__name__, _MODULES)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]
