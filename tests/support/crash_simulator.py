@@ -22,7 +22,7 @@ import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.epochs import NEVER, REACH, ahead
+from flock_sim.messages.epochs import EPOCHS, NEVER, REACH, out_of_date
 from flock_sim.messages.topics import RECORDER, bird_name
 from flock_sim.messages.types import (
     Checkpoint,
@@ -43,6 +43,9 @@ from support.network import expected_states
 
 RUN = 7
 CLOCK = "clock"
+FORGER = "forger"
+FAR = (1, 2, 1000, REACH, 2**30, 2**31 - 1, 2**31, 2**32 - REACH, 2**32 - 1000)
+"""Distances of forged epochs from those of the flight."""
 QUIET_ROUNDS = 4
 """Rounds of reports without progress of the flock after which it counts as stuck."""
 
@@ -88,8 +91,7 @@ class Recorder:
         self.joined = False
         self.released = False
         self._world = world
-        self._incarnation = life
-        self._session = Session("the recorder", world.configuration, RUN)
+        self._session = Session("the recorder", world.configuration, RUN, life)
         self._written: list[Row] = []
 
     @property
@@ -100,7 +102,7 @@ class Recorder:
         disk = self._world.disk
         if self._session.refuses_grant(grant):
             return
-        if self._epoch == NEVER and ahead(grant.epoch, disk.epoch) < 0:
+        if self._epoch == NEVER and out_of_date(grant.epoch, disk.epoch):
             self._say_saved(disk.epoch)
             return
         if self._session.take_grant(grant):
@@ -134,7 +136,7 @@ class Recorder:
             self._say_saved(self._epoch)
 
     def _say_saved(self, epoch: int) -> None:
-        saved = Progress(RUN, self._world.disk.saved, epoch, RECORDER, self._incarnation)
+        saved = Progress(RUN, self._world.disk.saved, epoch, RECORDER, self._session.incarnation)
         self._world.publish(RECORDER, topics.PROGRESS_TOPIC, saved.encode())
 
     def _flush(self) -> None:
@@ -186,6 +188,8 @@ class World:
         """Whether the clock has released all processes: it then ignores messages."""
         self.ordered = random.random() < 0.7
         """Whether the messages of one publisher on one topic keep their order, as in DDS."""
+        self.forged = False
+        """Whether messages have been forged."""
         self.stopped_at: int | None = None
         self.deaths = 0
         self._incarnations = 0
@@ -214,7 +218,7 @@ class World:
     def bring(self, *names: str) -> None:
         """Start a process for each name, also beside a live one. Queue latched messages."""
         for who in names:
-            self._incarnations += 1
+            self._incarnations += 1000
             make = {CLOCK: self._clock, RECORDER: self._recorder}.get(who, self._bird)
             if who in self.living:
                 self.twins.append(self.living[who])
@@ -400,6 +404,27 @@ class World:
                 return
             self.deliver(self.random.choice(queues), copy=self.random.random() < 0.1)
 
+    def forge(self) -> None:
+        """Send some listeners a message with an epoch that no process of the flight has begun."""
+        self.forged = True
+        known = [process.core._session.epoch for process in self._live_birds()]
+        known += [self.keeper.epoch] if CLOCK in self.living else []
+        epoch = self.random.choice([epoch for epoch in known if epoch != NEVER] or [1])
+        epoch = (epoch + self.random.choice(FAR) + self.random.randint(-1, 1)) % EPOCHS or 1
+        grant = Timekeeper(self.configuration, RUN, 1, False, epoch=epoch).grant
+        who = self.random.choice(self.birds)
+        topic, message = self.random.choice(
+            [
+                (topics.GRANT_TOPIC, grant),
+                (topics.PROGRESS_TOPIC, Progress(RUN, -1, epoch, who, 1)),
+            ]
+        )
+        listeners = [p for p in [*self.living.values(), *self.twins] if topic in p.hears]
+        self._incarnations += 1
+        forger = Process(FORGER, self._incarnations, None)
+        for listener in self.random.sample(listeners, k=self.random.randint(0, len(listeners))):
+            self._post(forger, listener, topic, message.encode())
+
     def stop(self) -> None:
         self._say(self.keeper.stop())
         self.stopped_at = self.keeper.end
@@ -431,6 +456,7 @@ class World:
             self.living[RECORDER].core.join()
         if CLOCK in self.living and self.keeper.finished and not self.over:
             self.over = True
+            self.queues = {k: q for k, q in self.queues.items() if q.sender.who != FORGER}
             self._say([self.keeper.release])
 
     # --- the end ---
@@ -493,6 +519,8 @@ class World:
         else:
             sent = {(who, step) for who, step in self._sent if step <= end}
             assert sent == {(who, step) for who in self.birds for step in due}
+        if self.forged:
+            return  # a grant forged at the end may hide the release, the last message of the clock
         for process in self._live_birds():
             assert process.core.released
             assert process.core.finished

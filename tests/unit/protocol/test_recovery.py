@@ -86,6 +86,24 @@ def test_a_flight_full_of_deaths_is_the_flight_without(hundred: int, linked: boo
             raise AssertionError(f"seed {seed}") from error
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+@pytest.mark.parametrize("hundred", range(50 if TORTURE else 2))
+def test_a_flight_full_of_forged_epochs_is_the_flight_without(hundred: int) -> None:
+    for seed in range(100 * hundred, 100 * (hundred + 1)):
+        world = random_world(seed)
+        try:
+            for _ in range(1 + seed % 5):
+                trouble(world, deaths=world.deaths + seed % 2, calm=5 + 3 * (seed % 40))
+                if not world.over:
+                    world.bring(*world.dead)
+                for _ in range(world.random.randint(1, 4)):
+                    world.forge()
+                    world.deliver_some(world.random.randint(1, 30))
+            world.settle()
+        except AssertionError as error:
+            raise AssertionError(f"seed {seed}") from error
+
+
 class Mortality(RuleBasedStateMachine):
     """Kills and brings back whom it likes, and delivers; in the end all live and hear."""
 

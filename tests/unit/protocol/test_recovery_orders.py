@@ -173,6 +173,20 @@ def test_epochs_beyond_belief_are_counted() -> None:
     assert bird.receive_grant(grant(0, 1 + REACH)) != []
 
 
+def test_a_bird_whose_epoch_was_begun_without_it_asks_for_another_one() -> None:
+    keeper, bird = clock(), BirdProtocol(1, TWO, incarnation=1)
+    gather(keeper, 0, -1)
+    bird.receive_wing(Wing(RUN, 2, np.ones(1)))
+    bird.receive_grant(keeper.grant)
+    bird.receive_grant(grant(8, keeper.epoch))  # forged, before the bird has begun the epoch
+    assert ticks(bird.receive_checkpoint(checkpoint(5, keeper.epoch))) == []
+    for _, data in bird.report():
+        keeper.receive(Progress.decode(data))
+    assert keeper.epoch == 2
+    bird.receive_checkpoint(checkpoint(5, 2))
+    assert ticks(bird.receive_grant(keeper.grant)) == [(2, 5, 0)]
+
+
 def test_an_epoch_beyond_belief_is_joined_when_it_is_said_again() -> None:
     bird = bird_one()
     assert bird.receive_checkpoint(checkpoint(5, 2 + REACH)) == []
@@ -180,7 +194,9 @@ def test_an_epoch_beyond_belief_is_joined_when_it_is_said_again() -> None:
     assert ticks(bird.receive_grant(grant(0, 2 + REACH))) == [(2 + REACH, 5, 0)]
 
 
-@pytest.mark.parametrize("ahead", [2, REACH - 1, REACH, REACH + 1, 2**30])
+@pytest.mark.parametrize(
+    "ahead", [2, REACH - 1, REACH, REACH + 1, 2**30, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - REACH - 1]
+)
 def test_a_clock_and_a_bird_come_together_wherever_one_message_has_sent_one(ahead: int) -> None:
     keeper, bird = clock(), bird_one()
     gather(keeper, 0, -1)
@@ -242,7 +258,8 @@ def test_a_clock_goes_beyond_the_epochs_that_it_hears_of() -> None:
     gather(keeper, 3, 3)
     assert tell(keeper, 3, "bird_02", epoch=11 + REACH) == []
     assert keeper.epoch == 10
-    assert tell(keeper, 3, "bird_02", epoch=11 + REACH) != []
+    assert tell(keeper, 3, "bird_02", epoch=10 + REACH) != []
+    assert keeper.epoch == 11 + REACH
 
 
 def test_leave_begins_anew_at_what_is_on_disk() -> None:

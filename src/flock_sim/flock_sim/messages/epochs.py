@@ -3,7 +3,8 @@
 
 An epoch is a 32-bit serial number. Each rewind takes the next one, and 1 follows the last. An
 epoch is later than another if it is fewer than 2^31 ahead (the serial number order of RFC 1982), so
-nothing overflows.
+nothing overflows. Epochs of genuine messages lie close together. An epoch out of reach, either way,
+comes from a message that no node of the flight has sent.
 
 A clock draws its first epoch at random from REACH numbers, so that a restarted clock is not
 confused with the previous one. If the previous clock had reached later epochs, the birds and the
@@ -23,7 +24,7 @@ NEVER = -1
 """Epoch of a node that has not joined an epoch."""
 
 REACH = 2**20
-"""Most epochs that a flying node advances on one message. A larger advance takes two messages."""
+"""Largest distance between epochs of genuine messages. A node takes two messages to move further."""
 
 
 def first_epoch() -> int:
@@ -40,6 +41,16 @@ def ahead(epoch: int, present: int) -> int:
         return 1
     difference = (epoch - present) % EPOCHS
     return difference if difference < EPOCHS // 2 else difference - EPOCHS
+
+
+def out_of_reach(epoch: int, present: int) -> bool:
+    """Whether `epoch` is more than REACH before or after `present`; False if that is NEVER."""
+    return abs(ahead(epoch, present)) > REACH
+
+
+def out_of_date(epoch: int, present: int) -> bool:
+    """Whether `epoch` is one of the REACH epochs before `present`."""
+    return -REACH <= ahead(epoch, present) < 0
 
 
 def in_order(epochs: Iterable[int]) -> list[int]:

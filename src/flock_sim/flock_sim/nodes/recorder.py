@@ -36,7 +36,7 @@ from flock_sim.console.signals import Stop
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
-from flock_sim.messages.epochs import NEVER, ahead
+from flock_sim.messages.epochs import NEVER, in_order, out_of_date
 from flock_sim.messages.rejection import FOREIGN, MALFORMED, REPEATED, STALE
 from flock_sim.nodes.played_recorder import check_played, record_played
 from flock_sim.protocol.free_flight import GONE, check_free
@@ -117,9 +117,10 @@ class RecorderNode(DrainedNode):
         """Whether the clock has ended the run."""
         self._configuration = configuration
         self._run = run
-        self._session = Session("the recorder", configuration, run_id, factor)
+        self._session = Session(
+            "the recorder", configuration, run_id, new_incarnation(), factor
+        )
         self._granted = -1  # the furthest granted step of this epoch
-        self._incarnation = new_incarnation()
         self._joined = False  # has published where the epoch begins
         self._look_at = 0.0  # monotonic time of the next look at all topics, in s
         self.rest = min(LONGEST_WAIT, topics.fetch_period(configuration) or WAIT)
@@ -280,10 +281,10 @@ class RecorderNode(DrainedNode):
             self.assembler.ignored_for[MALFORMED] += 1
             return
         reason = session.refuses_grant(grant)
-        recorded = self._last_epoch(grant.run_id)
-        if not reason and session.epoch == NEVER and ahead(grant.epoch, recorded) < 0:
+        later = self._later_epoch(grant)
+        if not reason and session.epoch == NEVER and later != NEVER:
             # The clock is a new one, and must begin an epoch later than those in the bag.
-            self._tell(self._run.saved, grant.run_id, recorded)
+            self._tell(self._run.saved, grant.run_id, later)
             reason = STALE
         if reason:
             self.assembler.ignored_for[reason] += 1
@@ -300,12 +301,15 @@ class RecorderNode(DrainedNode):
             if new:
                 self._save()  # a later recorder must know the epoch
 
-    def _last_epoch(self, run_id: int) -> int:
-        """Return the last epoch in the bag, of this run or with a push; NEVER without one."""
-        with_push, grant = next(reversed(self._run.live), NEVER), self._run.last_grant
-        if grant is None or grant.run_id != run_id or ahead(grant.epoch, with_push) < 0:
-            return with_push
-        return grant.epoch
+    def _later_epoch(self, grant: messages.Grant) -> int:
+        """Return the last epoch in the bag that is later than a grant's; NEVER without one.
+
+        Epochs of this run and of pushes count. One out of reach was forged.
+        """
+        last = self._run.last_grant
+        known = [*self._run.live, *([last.epoch] if last and last.run_id == grant.run_id else [])]
+        later = [epoch for epoch in known if out_of_date(grant.epoch, epoch)]
+        return in_order(later)[-1] if later else NEVER
 
     def _begin(self, grant: messages.Grant) -> None:
         """Begin an epoch: complete rows go on disk, the birds send the others again."""
@@ -428,8 +432,9 @@ class RecorderNode(DrainedNode):
 
     def _tell(self, step: int, run_id: int = 0, epoch: int = 0) -> None:
         """Report the last step on disk, by default in the current run and epoch."""
-        run_id, epoch = run_id or self._session.run_id, epoch or self._session.epoch
-        progress = messages.Progress(run_id, step, epoch, topics.RECORDER, self._incarnation)
+        session = self._session
+        run_id, epoch = run_id or session.run_id, epoch or session.epoch
+        progress = messages.Progress(run_id, step, epoch, topics.RECORDER, session.incarnation)
         self._progress.publish(progress.encode())
 
     def _status(self) -> Status:

@@ -22,7 +22,7 @@ import numpy as np
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
 from flock_sim.errors import FlockError
-from flock_sim.messages.epochs import ahead
+from flock_sim.messages.epochs import out_of_date
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, REPEATED
 from flock_sim.messages.stage_layout import (
     HEADER,
@@ -112,11 +112,10 @@ class BirdProtocol(Listener):
         # CPython reads attributes more slowly if an object has more than 30 of them: a step of a
         # bird would take a twentieth longer.
         self.bird = bird
-        self.incarnation = incarnation
         self.ignored_for = Counter()
         self.ignored = 0
         self._configuration = configuration
-        self._session = Session(bird_name(bird), configuration, run_id)
+        self._session = Session(bird_name(bird), configuration, run_id, incarnation)
         self._end = configuration.steps
         self._granted = -1
         # By run and epoch, for this epoch and later ones: our run may not be known yet.
@@ -234,6 +233,8 @@ class BirdProtocol(Listener):
         if self._granted < 0:
             return []  # no run is known yet
         self._session.hear_nothing()
+        if self._begun_without_it:
+            self._session.reincarnate()
         return [self._progress(self._reached), *self._said]
 
     def fast_path(self) -> FastPath | None:
@@ -301,7 +302,7 @@ class BirdProtocol(Listener):
         self._checkpoints = {
             key: checkpoint
             for key, checkpoint in self._checkpoints.items()
-            if key[0] == run_id and ahead(key[1], epoch) >= 0
+            if key[0] == run_id and not out_of_date(key[1], epoch)
         }
         self._end = grant.end
         self._flying = self._held = False
@@ -330,6 +331,15 @@ class BirdProtocol(Listener):
         # Report half way, so that the next grant arrives before this one is used up.
         self._report_at = self.step + max(1, min((step - self.step) // 2, MOST_SILENT))
 
+    @property
+    def _begun_without_it(self) -> bool:
+        """Whether a grant goes beyond the checkpoint before this bird has begun the epoch.
+
+        The grant is for an earlier incarnation of this bird, or it is forged.
+        """
+        checkpoint = self._here
+        return not self._flying and checkpoint is not None and self._granted > checkpoint.step
+
     def _fits(self, checkpoint: Checkpoint) -> bool:
         """Whether a checkpoint can belong to this flight."""
         configuration = self._configuration
@@ -354,7 +364,7 @@ class BirdProtocol(Listener):
             self._flying
             or not self._around.known
             or checkpoint is None
-            or self._granted > checkpoint.step  # of an earlier incarnation: a new epoch follows
+            or self._begun_without_it
         ):
             return []
         self._flying = self._session.flying = True
@@ -473,7 +483,7 @@ class BirdProtocol(Listener):
     def _progress(self, step: int) -> Outgoing:
         """Return the report of having reached `step`; -1: present, but not yet at the start."""
         run_id, epoch = self._now
-        progress = Progress(run_id, step, epoch, bird_name(self.bird), self.incarnation)
+        progress = Progress(run_id, step, epoch, bird_name(self.bird), self._session.incarnation)
         return Channel.PROGRESS, progress.encode()
 
     def _state(self, step: int, words: FloatArray) -> State:

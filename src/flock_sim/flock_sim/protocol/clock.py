@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.epochs import REACH, ahead, following
+from flock_sim.messages.epochs import ahead, following, out_of_reach
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import FOREIGN, REPEATED, STALE
 from flock_sim.messages.topics import RECORDER, bird_name, steps_ahead
@@ -100,7 +100,7 @@ class Timekeeper:
         self.steps_asked = 0
         """Steps to fly from where the run begins or continues, before a pause; 0: none."""
         self._pausing = False  # pause where the run begins or continues
-        # Reports received once that name an epoch out of reach, or would end a free flight.
+        # Reports received once that would end a free flight.
         self._doubted: set[tuple[str, int, int]] = set()
         self._stopping = False  # stop once all nodes have reported
         self._perturbation = 0
@@ -206,9 +206,10 @@ class Timekeeper:
             return self._ignore(UNKNOWN)
         later = ahead(progress.epoch, self.epoch)
         came_back = bool(incarnations) and progress.life not in incarnations
-        far = later > REACH and self._first is not None
+        if out_of_reach(progress.epoch, self.epoch):
+            later = 0 if came_back else -1  # the node comes back to our epoch by itself
         ends = self.free and self._granted > 0 and (came_back or later > 0)
-        if (far or ends) and self._doubts(progress):
+        if ends and self._doubts(progress):
             return self._ignore(REPEATED)
         incarnations.add(progress.life)
         if came_back or later > 0:

@@ -80,7 +80,6 @@ class FreeBird(Listener):
         `run_id` and `incarnation` are as in `BirdProtocol`.
         """
         self.bird = bird
-        self.incarnation = incarnation
         self.ignored_for = Counter()
         self.ignored = 0
         self.step = 0
@@ -92,7 +91,7 @@ class FreeBird(Listener):
         self._configuration = configuration
         self._factor = factor
         self._period = configuration.dt * configuration.second / factor
-        self._session = Session(bird_name(bird), configuration, run_id, factor)
+        self._session = Session(bird_name(bird), configuration, run_id, incarnation, factor)
         self._end = configuration.steps
         self._granted = -1
         self._reached = -1
@@ -333,6 +332,6 @@ class FreeBird(Listener):
 
     def _progress(self) -> Outgoing:
         """Return the report of the step reached; -1: present, but not yet at the start."""
-        name = bird_name(self.bird)
-        progress = Progress(self.run_id, self._reached, self._epoch, name, self.incarnation)
+        name, incarnation = bird_name(self.bird), self._session.incarnation
+        progress = Progress(self.run_id, self._reached, self._epoch, name, incarnation)
         return Channel.PROGRESS, progress.encode()

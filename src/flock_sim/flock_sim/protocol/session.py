@@ -9,29 +9,40 @@ from __future__ import annotations
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.messages.epochs import NEVER, REACH, ahead
+from flock_sim.messages.epochs import NEVER, out_of_date, out_of_reach
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, REPEATED, STALE
 from flock_sim.messages.types import Grant, Push
 from flock_sim.protocol.free_flight import NO_WAY_BACK
 
 
+INCARNATIONS = 2**64
+"""Number of values of an incarnation, which has 64 bits in messages."""
+
+
 class Session:
     """The run and the epoch of one node, and the content of the clock's grants."""
 
     def __init__(
-        self, who: str, configuration: FlockConfiguration, run_id: int, factor: float = 0.0
+        self,
+        who: str,
+        configuration: FlockConfiguration,
+        run_id: int,
+        incarnation: int = 0,
+        factor: float = 0.0,
     ) -> None:
         """Start without an epoch. `run_id` 0: the run of the first grant.
 
-        `factor` is the real-time factor; 0 in lockstep.
+        `incarnation` distinguishes this process of the node from earlier ones. `factor` is the
+        real-time factor; 0 in lockstep.
         `who` names the node in errors.
         """
         self.run_id = run_id
         self.epoch = NEVER
+        self.incarnation = incarnation
+        """A number that the clock has not heard before makes it begin a new epoch."""
         self.flying = False
-        """Whether the node flies in this epoch. If so, it joins an epoch beyond REACH at its second
-        grant."""
+        """Whether the node flies in this epoch."""
         self._who = who
         self._configuration = configuration
         self._factor = factor
@@ -39,14 +50,14 @@ class Session:
         self._granted = -1
         self._over = False  # the clock has ended the run
         self._silent = False  # no message has arrived since
-        self._far = NEVER  # the last epoch out of reach in a grant
+        self._doubted = NEVER  # the last epoch out of reach in a grant
         self._anew = 0  # grants of later epochs received in a free flight
 
     def refuses(self, run_id: int, epoch: int) -> str:
         """Return why a message of this run and epoch has no effect, or ""."""
         if self.run_id not in (0, run_id):
             return FOREIGN
-        return STALE if ahead(epoch, self.epoch) < 0 else ""
+        return STALE if out_of_date(epoch, self.epoch) else ""
 
     def refuses_grant(self, grant: Grant) -> str:
         """Return why a grant has no effect, or "".
@@ -68,9 +79,8 @@ class Session:
                 return reason
         if grant.end > self._configuration.steps or grant.step > grant.end + 1:
             return REPEATED
-        if self.flying and ahead(grant.epoch, self.epoch) > REACH and grant.epoch != self._far:
-            self._far = grant.epoch  # the clock repeats a genuine grant within a second
-            return REPEATED
+        if reason := self._refuses_jump(grant.epoch):
+            return reason
         same = grant.epoch == self.epoch
         if self._factor and self._granted > 0 and not same:
             self._anew += 1
@@ -85,6 +95,8 @@ class Session:
         self._terms = grant.terms
         new = grant.epoch != self.epoch
         if new:
+            if out_of_reach(grant.epoch, self.epoch):
+                self.reincarnate()
             self.run_id, self.epoch = grant.run_id, grant.epoch
             self.flying = self._over = self._silent = False
             self._granted = -1
@@ -104,6 +116,24 @@ class Session:
     def hear_nothing(self) -> None:
         """Note that no message has arrived for a while."""
         self._silent = self._over
+
+    def reincarnate(self) -> None:
+        """Take another incarnation: this node can't continue an epoch that others have begun.
+
+        A node that returns from an epoch out of reach has forgotten the epoch that it had left.
+        """
+        self.incarnation = (self.incarnation + 1) % INCARNATIONS
+
+    def _refuses_jump(self, epoch: int) -> str:
+        """Return why a grant of an epoch out of reach is not taken, or "".
+
+        It is taken at its second grant: the clock repeats a genuine grant within a second.
+        """
+        if not out_of_reach(epoch, self.epoch):
+            return ""
+        doubted, self._doubted = self._doubted, epoch
+        again = doubted != NEVER and not out_of_reach(epoch, doubted)
+        return "" if again else REPEATED
 
     def _differs(self, grant: Grant) -> str:
         configuration = self._configuration
