@@ -19,7 +19,7 @@ from flock_sim.messages.stage_layout import stage_numbers
 from flock_sim.messages.types import Checkpoint, Grant, Stage, Wing
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.protocol.fast_path import FIRST, PUBLISHER, SUBSCRIPTION
+from flock_sim.protocol.stage_words import FIRST, PUBLISHER, SUBSCRIPTION
 from flock_sim.reference.integrator import Reference
 from flock_sim.ros import compiled_exchange
 from flock_sim.ros.endpoints import latched
@@ -54,14 +54,14 @@ class Observed(BirdNode):
         self._exchange.go_on = counted  # type: ignore[method-assign]
 
 
-class Landing(Observed):
+class Asked(Observed):
     """A bird that is asked for something at random moments."""
 
     random = Random(3)
 
     def drain(self) -> bool:
         if self.random.random() < 0.3:
-            assert self.protocol.step >= 0
+            assert self.protocol.waiting_for
         return super().drain()
 
 
@@ -81,7 +81,7 @@ class Deaf(Observed):
         self._exchange._words[FIRST + SUBSCRIPTION] = 0  # type: ignore[union-attr]
 
 
-class Legless(BirdNode):
+class Plain(BirdNode):
     """A bird that makes sure that it has no exchange."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -106,14 +106,14 @@ class Forging(Observed):
         }
 
     def drain(self) -> bool:
-        if self.random.random() < 0.05 and 0 < self._protocol.step < CONFIGURATION.steps // 2:
+        if self.random.random() < 0.05 and 0 < self.protocol.step < CONFIGURATION.steps // 2:
             self.forge()
         return super().drain()
 
     def forge(self) -> None:
         """Say in the name of another bird what is wrong in one thing, and awaited but for that."""
-        run_id, epoch = self._protocol._now
-        step, number = divmod(self._exchange._path.tick, STAGES)  # type: ignore[union-attr]
+        run_id, epoch = self.protocol._now
+        step, number = divmod(self.protocol.tick, STAGES)
         other = self.random.choice(self.names)
         one = np.ones(CONFIGURATION.members)
         three, long = (one, one, one), (one, one, np.append(one, 1.0))
@@ -144,7 +144,7 @@ def stage(bird: int, number: int, value: float = 1.0) -> bytes:
 
 def begin(bird: BirdNode) -> None:
     """Let bird 2 take off by itself."""
-    protocol, last = bird._protocol, CONFIGURATION.steps
+    protocol, last = bird.protocol, CONFIGURATION.steps
     for other in (1, 3):
         protocol.receive_wing(Wing(RUN, other, CONFIGURATION.span_ratio[other - 1]))
     protocol.receive_grant(Grant(RUN, 0, last, 1.0, 1))
@@ -163,33 +163,32 @@ def assert_flies_as_the_reference(kind: type[BirdNode]) -> None:
         assert flown[name].values.tobytes() == expected.tobytes(), name
 
 
-def test_birds_fly_by_legs() -> None:
+def test_birds_fly_by_the_compiled_exchange() -> None:
     assert_flies_as_the_reference(Observed)
-    assert Observed.outcomes[compiled_exchange.MOVED] > STAGES * CONFIGURATION.steps
+    assert Observed.outcomes[compiled_exchange.WAITS] > STAGES * CONFIGURATION.steps
     assert (
         Observed.outcomes[compiled_exchange.OVER] >= CONFIGURATION.birds * CONFIGURATION.steps // 10
     )
-    assert not Observed.outcomes.keys() & {compiled_exchange.STRANGE, compiled_exchange.FAILED}
+    assert Observed.outcomes.keys() <= {compiled_exchange.WAITS, compiled_exchange.OVER}
 
 
-def test_who_is_asked_on_a_leg_lands_and_goes_on() -> None:
-    assert_flies_as_the_reference(Landing)
-    assert Observed.outcomes[compiled_exchange.MOVED] > 0
+def test_a_bird_that_is_asked_in_flight_stays_on_the_fast_path() -> None:
+    assert_flies_as_the_reference(Asked)
+    assert Observed.outcomes[compiled_exchange.WAITS] > STAGES * CONFIGURATION.steps
 
 
 @pytest.mark.parametrize("broken", [Mute, Deaf])
 def test_what_compiled_code_cannot_do_is_left_to_rclpy(broken: type[Observed]) -> None:
     assert_flies_as_the_reference(broken)
-    assert not Observed.outcomes[compiled_exchange.MOVED]
-    assert (
-        Observed.outcomes[compiled_exchange.OVER if broken is Mute else compiled_exchange.FAILED]
-        > 0
-    )
+    failure = compiled_exchange.UNSENT if broken is Mute else compiled_exchange.FAILED
+    assert Observed.outcomes[failure] > 0
 
 
-def test_where_ros_lacks_what_legs_need_birds_fly_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_ros_lacks_functions_birds_fly_without_the_exchange(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(compiled_exchange, "available", lambda: False)
-    assert_flies_as_the_reference(Legless)
+    assert_flies_as_the_reference(Plain)
 
 
 def test_forged_stages_are_counted_each_and_change_no_bit() -> None:
@@ -205,7 +204,7 @@ def test_forged_stages_are_counted_each_and_change_no_bit() -> None:
     assert Observed.outcomes[compiled_exchange.STRANGE] > 0
 
 
-def test_who_waits_on_a_leg_hears_out_those_who_have_spoken() -> None:
+def test_a_bird_that_waits_takes_all_messages_of_the_neighbours_that_have_spoken() -> None:
     one, flood = np.ones(CONFIGURATION.members), 300
     with ros_alone() as context, executing("single", context) as executor:
         bird = BirdNode(2, CONFIGURATION, RUN, context=context)
@@ -217,16 +216,16 @@ def test_who_waits_on_a_leg_hears_out_those_who_have_spoken() -> None:
             time.sleep(0.01)
         begin(bird)
         for data in (stage(1, 0), stage(3, 0)):
-            bird._send(bird._protocol.receive_stage(data))
-        assert bird._protocol.step == 0
+            bird._send(bird.protocol.receive_stage(data))
+        assert bird.protocol.step == 0
         for value in (1.0, 2.0):
             said.publish(stage(1, 1, value))  # and bird 3 says nothing
         for _ in range(flood):
             said.publish(Stage(RUN + 1, 0, 1, 1, 1, one, one, one).encode())
-        while bird._protocol.ignored < flood + 1:
-            assert time.monotonic() < deadline, bird._protocol.ignored_for
+        while bird.protocol.ignored < flood + 1:
+            assert time.monotonic() < deadline, bird.protocol.ignored_for
             bird.drain()
             bird.drain_rare()
-        assert bird._protocol.ignored_for == {"of another run": flood, AGAIN: 1}
+        assert bird.protocol.ignored_for == {"of another run": flood, AGAIN: 1}
         assert bird.protocol.missing == [3]
-        assert stage_numbers(bird._protocol._inbox.heard[1, 0], 2)[0].tolist() == [1.0, 1.0]
+        assert stage_numbers(bird.protocol._inbox.heard[1, 0], 2)[0].tolist() == [1.0, 1.0]

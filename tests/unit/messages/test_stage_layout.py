@@ -7,6 +7,10 @@ import pytest
 from flock_sim.messages.stage_layout import (
     HEADER,
     HEADER_AT,
+    HEADER_WORD,
+    HEADER_WORDS,
+    has_header,
+    put_header,
     stage_bytes,
     stage_header,
     stage_numbers,
@@ -21,7 +25,9 @@ def lying(members: int) -> tuple[np.ndarray, memoryview]:
     data = stage_bytes(words, members)
     for k, numbers in enumerate(stage_numbers(words, members)):
         numbers[:] = 1.0 + k * members + np.arange(members)
-    HEADER.pack_into(data, HEADER_AT, 7, 1000, 2, 13, 3, members)
+    header = words.view(np.int64)[HEADER_WORD : HEADER_WORD + HEADER_WORDS]
+    put_header(header, 7, 4003, 2, 13, members)
+    assert has_header(header, 7, 4003, 2, 13, members)
     return words, data
 
 
@@ -33,6 +39,20 @@ def test_the_bytes_are_those_of_the_encoded_message(members):
     assert bytes(data) == message.encode()
     for lies, sent in zip(stage_numbers(words, members), (position, speed, circulation)):
         np.testing.assert_array_equal(lies, sent)
+
+
+@pytest.mark.parametrize("field", range(5))
+def test_a_header_is_told_from_any_other(field):
+    words, _ = lying(2)
+    other = [7, 4003, 2, 13, 2]
+    other[field] += 1
+    header = words.view(np.int64)[HEADER_WORD : HEADER_WORD + HEADER_WORDS]
+    assert not has_header(header, *other)
+
+
+def test_the_header_is_laid_out_as_the_message_definition_says():
+    assert HEADER.unpack(HEADER.pack(2**64 - 1, 0, 0, 2**32 - 1, 255, 1))[3:] == (2**32 - 1, 255, 1)
+    assert (HEADER_AT, HEADER.size) == (4, 32)
 
 
 def test_bytes_and_numbers_are_the_same_memory():

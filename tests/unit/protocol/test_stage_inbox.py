@@ -36,16 +36,12 @@ def inbox(tick: int | None = None) -> StageInbox:
     return made
 
 
-def lacking(box: StageInbox) -> list[int]:
-    return list(box.lacking.values())
-
-
 @pytest.mark.parametrize("speed", [np.nan, np.inf, -np.inf])
 def test_at_the_start_nobody_is_anywhere_but_at_a_number(speed: float) -> None:
     box = inbox(tick=0)
     assert box.take(stage(1, 0, speed=speed)) == IMPOSSIBLE
     assert box.take(stage(1, 0)) == ""
-    assert lacking(box) == [3]
+    assert box.lacking == [3]
 
 
 @pytest.mark.parametrize("speed", [np.nan, np.inf])
@@ -54,14 +50,14 @@ def test_a_neighbour_a_stage_ahead_may_have_diverged_already(speed: float) -> No
     box = inbox(tick=0)
     assert box.take(stage(1, 0)) == box.take(stage(1, 1, speed=speed)) == ""
     assert box.take(stage(3, 0)) == ""
-    box.turn(1)
-    assert lacking(box) == [3]
+    box.turn()
+    assert box.lacking == [3]
 
 
 def test_a_flight_that_diverged_is_gone_on_with() -> None:
     box = inbox(tick=40)
     assert box.take(stage(1, 40, speed=np.nan)) == box.take(stage(3, 40, speed=np.inf)) == ""
-    assert not box.lacking
+    assert box.complete
 
 
 def test_what_no_bird_can_have_at_the_start_does_not_keep_out_what_comes() -> None:
@@ -69,17 +65,17 @@ def test_what_no_bird_can_have_at_the_start_does_not_keep_out_what_comes() -> No
     assert box.take(stage(1, 0, speed=np.nan)) == IMPOSSIBLE
     assert box.take(stage(1, 0)) == ""
     box.open(0)
-    assert lacking(box) == [3]
+    assert box.lacking == [3]
 
 
 def test_a_stage_of_an_epoch_to_come_is_there_when_it_begins() -> None:
     box = inbox(tick=40)
     assert box.take(stage(1, 32, epoch=EPOCH + 1)) == ""
-    assert lacking(box) == [1, 3]
+    assert box.lacking == [1, 3]
     box.close(RUN, EPOCH + 1)
     assert box.take(stage(3, 32, epoch=EPOCH + 1)) == ""
     box.open(32)
-    assert lacking(box) == []
+    assert box.lacking == []
 
 
 def test_a_stage_that_overtakes_the_first_grant_is_there_when_its_epoch_begins() -> None:
@@ -89,7 +85,7 @@ def test_a_stage_that_overtakes_the_first_grant_is_there_when_its_epoch_begins()
         assert box.take(stage(1, 32, run_id=run_id)) == ""
     box.close(RUN, EPOCH)
     box.open(32)
-    assert lacking(box) == [3]
+    assert box.lacking == [3]
 
 
 def test_where_the_run_is_known_another_is_foreign_before_the_first_grant() -> None:
@@ -107,7 +103,7 @@ def test_what_one_neighbour_said_long_ago_does_not_push_out_what_another_just_sa
             box.take(stage(bird, 32, epoch=epoch))
     box.close(RUN, news)
     box.open(32)
-    assert lacking(box) == []
+    assert box.lacking == []
 
 
 def test_each_that_is_not_kept_has_its_reason() -> None:
@@ -123,7 +119,7 @@ def test_each_that_is_not_kept_has_its_reason() -> None:
     assert box.take(stage(1, 41, epoch=EPOCH + 1)) == REPEATED  # an epoch begins with a step
     assert box.take(stage(1, 40, epoch=EPOCH + REACH + 1)) == REPEATED
     assert box.take(stage(1, 40, epoch=EPOCH + REACH)) == ""
-    assert lacking(box) == [1, 3]
+    assert box.lacking == [1, 3]
 
 
 def test_of_all_that_comes_early_only_so_much_is_kept_and_the_rest_counted() -> None:
@@ -138,11 +134,11 @@ def test_what_is_said_again_is_told_from_what_nobody_can_mean() -> None:
     for tick in (40, 41):
         assert box.take(stage(1, tick)) == ""
         assert box.take(stage(1, tick)) == AGAIN
-    assert lacking(box) == [3]
+    assert box.lacking == [3]
     box.take(stage(3, 40))
-    box.turn(41)
+    box.turn()
     box.take(stage(3, 41))
-    box.turn(42)
+    box.turn()
     # Bird 1 may still wait for another's stage 41, and says 40 and 41 then.
     assert box.take(stage(1, 40)) == box.take(stage(1, 41)) == AGAIN
     assert box.take(stage(1, 39)) == box.take(stage(1, 44)) == REPEATED
@@ -158,17 +154,17 @@ def test_between_two_exchanges_nothing_is_lacking_and_the_next_one_is_taken() ->
     box = StageInbox([1, 3], 1, ExchangeSchedule(False, (3,)))
     box.close(RUN, EPOCH)
     box.open(0)
-    assert lacking(box) == [1, 3]
+    assert box.lacking == [1, 3]
     assert box.take(stage(1, 0)) == box.take(stage(3, 0)) == ""
-    assert [box.turn(tick) for tick in range(1, 12)] == [False] * 11
-    assert lacking(box) == []
+    assert [box.turn() for tick in range(1, 12)] == [False] * 11
+    assert box.lacking == []
     assert box.take(stage(1, 4)) == REPEATED
     assert box.take(stage(1, 12)) == ""
     assert box.take(stage(1, 24)) == REPEATED
     before = box.side
-    assert box.turn(12)
+    assert box.turn()
     assert box.side != before
-    assert lacking(box) == [3]
+    assert box.lacking == [3]
 
 
 def test_an_epoch_that_begins_between_two_exchanges_takes_the_next_one_that_came_early() -> None:
@@ -176,9 +172,9 @@ def test_an_epoch_that_begins_between_two_exchanges_takes_the_next_one_that_came
     box.close(RUN, EPOCH)
     assert box.take(stage(1, 12)) == ""
     box.open(8)
-    assert lacking(box) == []
-    assert [box.turn(tick) for tick in range(9, 13)] == [False, False, False, True]
-    assert lacking(box) == [3]
+    assert box.lacking == []
+    assert [box.turn() for tick in range(9, 13)] == [False, False, False, True]
+    assert box.lacking == [3]
 
 
 def test_what_is_said_again_is_known_by_the_exchange_whatever_tick_that_is_at() -> None:
@@ -190,7 +186,7 @@ def test_what_is_said_again_is_known_by_the_exchange_whatever_tick_that_is_at() 
     for tick in range(27):
         for bird in (1, 3):
             box.take(stage(bird, tick))
-        box.turn(tick + 1)
+        box.turn()
     told = {tick: box.take(stage(1, tick)) for tick in range(50) if tick != 36}
     assert [tick for tick, reason in told.items() if reason == AGAIN] == [12, 20, 24]
     assert set(told.values()) == {AGAIN, REPEATED}

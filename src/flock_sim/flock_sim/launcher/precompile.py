@@ -72,10 +72,8 @@ def warm_exchange() -> None:
     from flock_sim.protocol.bird import BirdProtocol
     from flock_sim.ros.compiled_exchange import available, exchange
 
-    path = BirdProtocol(1, FlockConfiguration(birds=2)).fast_path()
-    if path is not None and available():
-        path.begin(tick=0, end=1, run_id=1, epoch=1, lacking=(set(), set()))
-        exchange(path.words, 1.0, False)
+    if available():
+        exchange(BirdProtocol(1, FlockConfiguration(birds=2)).words, 1.0, False)
 
 
 def warm_equilibrium(coupling: str) -> None:

@@ -24,7 +24,7 @@ NEVER = -1
 """Epoch of a node that has not joined an epoch."""
 
 REACH = 2**20
-"""Largest distance between epochs of genuine messages. A node takes two messages to move further."""
+"""Largest distance between epochs of genuine messages. To move further takes two messages."""
 
 
 def first_epoch() -> int:

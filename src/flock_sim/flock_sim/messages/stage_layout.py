@@ -1,46 +1,92 @@
 # SPDX-License-Identifier: Apache-2.0
 """The layout of a stage message: the bytes of a BirdStage, and its numbers without a copy.
 
-A BirdStage in CDR is 4 bytes of encapsulation, a header (run id, step, epoch, bird, stage, length
-of the first sequence), then the three sequences, each followed by the length of the next and
-4 bytes of padding. Seen from 4 bytes before the message, all its numbers are aligned words of
-8 bytes.
+A BirdStage in CDR is an encapsulation, a header (run id, step, epoch, bird, stage, length of the
+first sequence), then the sequences, each followed by the length of the next and padding. A message
+is stored BEFORE bytes into an array, so that all its numbers are aligned words of 8 bytes.
 """
 
 from __future__ import annotations
 
 import struct
 
-from flock_sim.messages.types import ENCAPSULATION
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.messages.types import ENCAPSULATION, Stage
+from flock_sim.physics.arrays import FloatArray, IntArray
+from flock_sim.physics.compile import kernel
+from flock_sim.physics.runge_kutta import STAGES
 
-HEADER = struct.Struct("<QQIIB3xI")
+WORD = 8
+SEQUENCES = Stage.KINDS.count("numbers")
+
+
+def _cdr(*kinds: str) -> struct.Struct:
+    """Return the CDR layout of fields of fixed size, each aligned to its own size."""
+    layout = "<"
+    for kind in kinds:
+        layout += f"{-struct.calcsize(layout) % struct.calcsize(kind)}x{kind}"
+    return struct.Struct(layout)
+
+
+HEADER = _cdr(*Stage.KINDS[:-SEQUENCES], "I")
 HEADER_AT = len(ENCAPSULATION)
 HEADER_END = HEADER_AT + HEADER.size
 
-FIRST_WORD = 5
+BEFORE = -HEADER_END % WORD
+"""Bytes before a stored message, so that its numbers are aligned."""
+
+FIRST_WORD = (BEFORE + HEADER_END) // WORD
 """Offset of the positions, in words. Speeds and circulations follow, each members + 1 words on."""
+
+HEADER_WORD = (BEFORE + HEADER_AT) // WORD
+"""Offset of the header, in words: run id; step; epoch and bird; stage and members."""
+
+HEADER_WORDS = HEADER.size // WORD
+
+
+@kernel
+def put_header(
+    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
+) -> None:
+    """Write the HEADER_WORDS of the message of a bird at `tick` = STAGES step + stage."""
+    header[0] = run_id
+    header[1] = tick // STAGES
+    header[2] = epoch | bird << 32
+    header[3] = tick % STAGES | members << 32
+
+
+@kernel
+def has_header(
+    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
+) -> bool:
+    """Whether `put_header` would write these words."""
+    return bool(
+        header[0] == run_id
+        and header[1] == tick // STAGES
+        and header[2] == epoch | bird << 32
+        and header[3] == tick % STAGES | members << 32
+    )
 
 
 def stage_words(members: int) -> int:
-    """Return the size of a stage message of `members`, in words, with the 4 bytes before it."""
-    return FIRST_WORD + 3 * members + 2
+    """Return the size of a stored stage message of `members`, in words."""
+    return FIRST_WORD + SEQUENCES * (members + 1) - 1
 
 
 def stage_bytes(words: FloatArray, members: int) -> memoryview:
     """Return `words`, shape (stage_words(members),), as the bytes of a stage message."""
-    data = words.data.cast("B")[4:]
+    data = words.data.cast("B")[BEFORE:]
     data[:HEADER_AT] = ENCAPSULATION
-    for sequence in range(3):
-        numbers = HEADER_AT + HEADER.size + sequence * 8 * (members + 1)
-        at = numbers - (8 if sequence else 4)  # the header ends with the first, without padding
-        data[at : at + 4] = struct.pack("<I", members)
+    length = struct.pack("<I", members)
+    data[HEADER_END - len(length) : HEADER_END] = length  # the header ends with the first
+    for sequence in range(1, SEQUENCES):
+        at = HEADER_END + WORD * (sequence * (members + 1) - 1)
+        data[at : at + len(length)] = length
     return data
 
 
 def stage_header(data: bytes) -> tuple[int, int, int, int, int, int]:
     """Return run id, step, epoch, bird, stage and members of an encoded stage message."""
-    if len(data) < HEADER_AT + HEADER.size:
+    if len(data) < HEADER_END:
         raise ValueError(f"stage message of {len(data)} bytes is too short")
     run_id, step, epoch, bird, stage, members = HEADER.unpack_from(data, HEADER_AT)
     return run_id, step, epoch, bird, stage, members
@@ -50,6 +96,6 @@ def stage_numbers(words: FloatArray, members: int) -> tuple[FloatArray, FloatArr
     """Return position, speed and circulation in `words`, each of shape (members,)."""
     position, speed, circulation = (
         words[at : at + members]
-        for at in range(FIRST_WORD, FIRST_WORD + 3 * (members + 1), members + 1)
+        for at in range(FIRST_WORD, FIRST_WORD + SEQUENCES * (members + 1), members + 1)
     )
     return position, speed, circulation

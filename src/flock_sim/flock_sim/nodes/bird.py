@@ -19,8 +19,9 @@ from flock_sim.protocol.bird_kernel import StageKernel
 from flock_sim.protocol.control_force import Control
 from flock_sim.ros.compiled_exchange import (
     FAILED,
-    MOVED,
+    OVER,
     STRANGE,
+    UNSENT,
     CompiledExchange,
     compiled_exchange_of,
     strange,
@@ -74,9 +75,10 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self._protocol = protocol or BirdProtocol(
+        self.protocol = protocol or BirdProtocol(
             bird, configuration, run_id, new_incarnation(), self.control, stage_kernel
         )
+        """The state machine of this bird."""
         self._exchange: CompiledExchange | None = None
         outlets = outlets or _outlets(bird, configuration)
         fetched = [topic for channel, (_, topic) in outlets.items() if channel in FETCHED]
@@ -107,38 +109,28 @@ class BirdNode(DrainedNode):
         self._rejection_warnings = RejectionWarnings(
             self.get_name(), self.protocol.ignored_for, self.told
         )
-        if isinstance(self._protocol, BirdProtocol):
+        if isinstance(self.protocol, BirdProtocol):
             inlets = [inlet.subscription for inlet in self._stages.values()]
             outlet = self._outlets[Channel.STAGE]
-            self._exchange = compiled_exchange_of(self._protocol, configuration.dt, outlet, inlets)
-
-    @property
-    def protocol(self) -> BirdProtocol | FreeBird:
-        """The protocol of this bird. Access to it ends the fast path."""
-        if self._exchange and self._exchange.on:
-            self._send(self._exchange.leave())
-        return self._protocol
+            self._exchange = compiled_exchange_of(self.protocol, configuration.dt, outlet, inlets)
 
     def drain(self) -> bool:
         """Take the stages that it waits for, and continue; return whether any came."""
-        exchange = self._exchange
-        if exchange is None or not exchange.enter():
-            return self._take_missing()
-        return self._after(exchange.go_on())
+        if self._exchange and self._lockstep.on_fast_path:
+            return self._after(self._exchange.go_on)
+        return self._take_missing()
 
     def drain_rare(self) -> bool:
         """Take all other messages: stages not waited for, and wings before the flight."""
-        exchange = self._exchange
-        if exchange and exchange.on:
-            moved = self._after(exchange.look_through())
-            if exchange.foreign and exchange.on:
-                self._send(exchange.leave())
+        if self._exchange and self._lockstep.on_fast_path:
+            moved = self._after(self._exchange.look_through)
+            self._lockstep.count_foreign()
         else:
             moved = self._take_all_stages()
-        if not self._protocol.in_flight:
+        if not self.protocol.in_flight:
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
-                    moved |= self.hear(messages.Wing, self._protocol.receive_wing, data)
+                    moved |= self.hear(messages.Wing, self.protocol.receive_wing, data)
         self._rejection_warnings.tell()
         return moved
 
@@ -149,8 +141,6 @@ class BirdNode(DrainedNode):
     @property
     def finished(self) -> bool:
         """Whether the flight is over for this bird."""
-        if self._exchange and self._exchange.on:
-            return False
         return self.protocol.finished and self.protocol.released
 
     @property
@@ -184,19 +174,26 @@ class BirdNode(DrainedNode):
             self._send(receive(message))
         return self.protocol.ignored == ignored
 
-    def _after(self, outcome: int) -> bool:
-        """Leave the fast path if it is over or cannot continue. Return whether anything came."""
-        if outcome <= MOVED:
-            return outcome == MOVED
-        exchange = self._exchange
-        assert exchange is not None
-        moved = exchange.moved
-        data = strange() if outcome == STRANGE else b""
-        self._send(exchange.leave())
-        if outcome == STRANGE:
-            moved |= self._take_stage(data)
+    @property
+    def _lockstep(self) -> BirdProtocol:
+        """The protocol of a bird with a compiled exchange, which flies in lockstep."""
+        assert isinstance(self.protocol, BirdProtocol)
+        return self.protocol
+
+    def _after(self, exchange: Callable[[], int]) -> bool:
+        """Exchange stages, and do what they need beyond that; return whether anything came."""
+        protocol = self._lockstep
+        before = protocol.tick
+        outcome = exchange()
+        moved = protocol.tick > before
+        if outcome == OVER:
+            self._send(protocol.advance())
+        elif outcome == STRANGE:
+            moved |= self._take_stage(strange())
         elif outcome == FAILED:
             moved |= self._take_missing()
+        elif outcome == UNSENT:
+            self._send(protocol.last_said[-1:])
         return moved
 
     def _take_missing(self) -> bool:

@@ -117,9 +117,7 @@ class RecorderNode(DrainedNode):
         """Whether the clock has ended the run."""
         self._configuration = configuration
         self._run = run
-        self._session = Session(
-            "the recorder", configuration, run_id, new_incarnation(), factor
-        )
+        self._session = Session("the recorder", configuration, run_id, new_incarnation(), factor)
         self._granted = -1  # the furthest granted step of this epoch
         self._joined = False  # has published where the epoch begins
         self._look_at = 0.0  # monotonic time of the next look at all topics, in s

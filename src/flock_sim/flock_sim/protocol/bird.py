@@ -14,7 +14,7 @@ that epoch and continues from it. A flight begins in the same way.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from enum import Enum
 
 import numpy as np
@@ -23,14 +23,9 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
 from flock_sim.errors import FlockError
 from flock_sim.messages.epochs import out_of_date
-from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, REPEATED
-from flock_sim.messages.stage_layout import (
-    HEADER,
-    HEADER_AT,
-    stage_bytes,
-    stage_numbers,
-    stage_words,
-)
+from flock_sim.messages.rejection import FOREIGN as FOREIGN_RUN
+from flock_sim.messages.rejection import IMPOSSIBLE, REPEATED
+from flock_sim.messages.stage_layout import stage_bytes, stage_numbers, stage_words
 from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, State, Wing
 from flock_sim.physics import formation
@@ -48,12 +43,12 @@ from flock_sim.protocol.bird_kernel import (
     feel_and_move,
 )
 from flock_sim.protocol.control_force import Control, Steering
-from flock_sim.protocol.fast_path import FastPath
 from flock_sim.protocol.link_receiver import LinkReceiver
 from flock_sim.protocol.listener import Listener
 from flock_sim.protocol.neighbours import Neighbourhood
 from flock_sim.protocol.session import Session
 from flock_sim.protocol.stage_inbox import StageInbox
+from flock_sim.protocol.stage_words import END, FOREIGN, OWN, SENT, TICK, say
 
 EARLY = 16
 """Most checkpoints kept for epochs that may begin later."""
@@ -65,8 +60,6 @@ MOST_SILENT = 1000
 
 class Channel(Enum):
     """Where a message of a bird goes."""
-
-    __hash__ = object.__hash__  # Enum's is written in Python and slower: one call per message
 
     WING = "wing"
     STAGE = "stage"
@@ -109,8 +102,6 @@ class BirdProtocol(Listener):
         force in addition to thrust and drag. `stage_kernel` replaces `feel_and_move` and computes
         the same; a stopwatch may wrap it.
         """
-        # CPython reads attributes more slowly if an object has more than 30 of them: a step of a
-        # bird would take a twentieth longer.
         self.bird = bird
         self.ignored_for = Counter()
         self.ignored = 0
@@ -123,9 +114,7 @@ class BirdProtocol(Listener):
         self._flying = False  # in this epoch: the checkpoint and every wing are known
         self._start = 0  # the step of the checkpoint; -1 if its state is not on disk
         self._report_at = 0
-        self._reached = -1  # the last step begun with all neighbours' values known
-        self._tick = 0  # 4 step + stage, of the last message sent
-        self._said: deque[Outgoing] = deque(maxlen=2)  # the last two stages sent in this epoch
+        self._began = 0  # the tick at which this bird began the epoch
         self._held = False  # at a step's beginning, own values known, not granted
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
 
@@ -140,14 +129,31 @@ class BirdProtocol(Listener):
             if control
             else None
         )
-        self._inbox = StageInbox(self._around.birds, members, link_table.exchange_schedule, run_id)
+        self._inbox = StageInbox(
+            self._around.birds, members, link_table.exchange_schedule, run_id, bird
+        )
         self._receiver = LinkReceiver(bird, configuration) if link_table.remembers(bird) else None
         self._mine = np.zeros((2, stage_words(members)))
-        self.outbox = [stage_bytes(self._mine[side], members) for side in range(2)]
-        """Its last two stage messages: of the even tick and of the odd tick."""
+        self._said = np.zeros((2, stage_words(members)))
+        self.outbox = [stage_bytes(self._said[side], members) for side in range(2)]
+        """Its last two stage messages: one for each side of the inbox."""
+        for values in self._mine:
+            stage_bytes(values, members)
         self._work = np.zeros((WORK_ROWS, members))
         if stage_kernel is not None:
             self._feel_and_move = stage_kernel
+        self.words = self._inbox.words
+        """The words that the compiled exchange continues from; see `protocol/stage_words.py`."""
+        arrays = self._own, self._around.geometry, self._inbox.heard, self._mine, self._work
+        for address, array in enumerate((*arrays, self._said), OWN):
+            assert array.flags.c_contiguous
+            self.words[address] = array.ctypes.data
+        self.only_exchanges = (
+            self._inbox.every_tick
+            and not (self._receiver or self._steering)
+            and self._feel_and_move is feel_and_move
+        )
+        """Whether most stages need no more than the exchange of messages."""
 
     @property
     def run_id(self) -> int:
@@ -157,7 +163,18 @@ class BirdProtocol(Listener):
     @property
     def step(self) -> int:
         """The current step."""
-        return self._tick // STAGES
+        return self.tick // STAGES
+
+    @property
+    def tick(self) -> int:
+        """The current tick: 4 step + stage."""
+        return self._inbox.word[TICK]
+
+    @property
+    def _reached(self) -> int:
+        """The last step begun with all neighbours' values known; -1: none in this epoch."""
+        tick = self.tick + self._held
+        return (tick - 1) // STAGES if self._flying and tick > self._began else -1
 
     @property
     def released(self) -> bool:
@@ -177,7 +194,7 @@ class BirdProtocol(Listener):
     @property
     def missing(self) -> list[int]:
         """The neighbours whose message for this stage has not arrived; none while it is held."""
-        return list(self._inbox.lacking.values())
+        return self._inbox.lacking
 
     @property
     def waiting_for(self) -> str:
@@ -194,7 +211,7 @@ class BirdProtocol(Listener):
             return "the clock's word that the run is over"
         if self._held:
             return f"the clock's leave to go beyond step {self.step}"
-        stage = f"stage {self._tick % STAGES} of step {self.step}"
+        stage = f"stage {self.tick % STAGES} of step {self.step}"
         return f"{stage} from {', '.join(map(bird_name, self.missing))}"
 
     def receive_checkpoint(self, checkpoint: Checkpoint) -> list[Outgoing]:
@@ -209,7 +226,7 @@ class BirdProtocol(Listener):
         if len(self._checkpoints) > EARLY:
             oldest = next(key for key in self._checkpoints if key != self._now)
             del self._checkpoints[oldest]
-            return self.ignore(FOREIGN)
+            return self.ignore(FOREIGN_RUN)
         return self._begin()
 
     def receive_wing(self, wing: Wing) -> list[Outgoing]:
@@ -222,7 +239,11 @@ class BirdProtocol(Listener):
         """Take the stage message of a neighbour in serialised form."""
         if reason := self._inbox.take(data):
             return self.ignore(reason)
-        return [] if self._inbox.lacking or not self._flying else self._advance()
+        return self.advance()
+
+    def advance(self) -> list[Outgoing]:
+        """Continue, stage by stage, as far as the messages and the grant allow."""
+        return self._advance() if self._flying and self._inbox.complete else []
 
     def report(self) -> list[Outgoing]:
         """Return the messages of a waiting bird: its progress and its last two stages.
@@ -235,56 +256,40 @@ class BirdProtocol(Listener):
         self._session.hear_nothing()
         if self._begun_without_it:
             self._session.reincarnate()
-        return [self._progress(self._reached), *self._said]
+        self._plan()
+        return [self._progress(self._reached), *self.last_said]
 
-    def fast_path(self) -> FastPath | None:
-        """Return a fast path for this bird; None if its stages need more than the exchange."""
-        inbox = self._inbox
-        plain = self._feel_and_move is feel_and_move and inbox.every_tick
-        if self._receiver or self._steering or not plain:
-            return None
-        arrays = (self._own, self._around.geometry, inbox.heard, self._mine, self._work)
-        return FastPath(self.bird, self._around.birds, self._members, arrays)
+    @property
+    def last_said(self) -> list[Outgoing]:
+        """The last two stages sent in this epoch, the later one last."""
+        sent, side = self._inbox.word[SENT], self._inbox.side
+        sides = [1 - side, side][max(0, 2 - sent) :]
+        return [(Channel.STAGE, bytes(self.outbox[side])) for side in sides]
 
-    def enter(self, path: FastPath) -> bool:
-        """Hand the stages up to the next event to `path`; return False if there are none.
+    def count_foreign(self) -> None:
+        """Count the messages of other runs that the compiled exchange has ignored."""
+        for _ in range(self._inbox.word[FOREIGN]):
+            self.ignore(FOREIGN_RUN)
+        self._inbox.word[FOREIGN] = 0
 
-        Until `leave`, this object does not know the state of the bird and must not be used.
-        """
-        if self.released or self._held or not self._flying:
-            return False
-        end = STAGES * self._next_event()
-        if self._tick >= end:
-            return False
-        path.begin(self._tick, end, *self._now, self._inbox.lacking_by_side)
-        return True
+    @property
+    def on_fast_path(self) -> bool:
+        """Whether this tick needs no more than the exchange of messages."""
+        return self._inbox.word[TICK] < self._inbox.word[END]
 
-    def leave(self, path: FastPath) -> list[Outgoing]:
-        """Take over again from the tick that `path` has reached."""
-        for _ in range(path.foreign):
-            self.ignore(FOREIGN)
-        inbox, tick = self._inbox, path.tick
-        if tick > self._tick:
-            self._reached = max(self._reached, (tick - 1) // STAGES)
-            self._said.append(self._said_at(tick - 1))
-            if not path.over:
-                self._said.append(self._said_at(tick))
-        self._tick = tick - path.over
-        inbox.go_to(self._tick, path.lacking)
-        if not path.over:
-            return []
-        out = self._turn()
-        return out if inbox.lacking else out + self._advance()
-
-    def _said_at(self, tick: int) -> Outgoing:
-        """Return the stage message of one of the last two ticks."""
-        return Channel.STAGE, bytes(self.outbox[tick & 1])
+    def _plan(self) -> None:
+        """Set the tick from which on this object has more to do than to exchange messages."""
+        idle = self.released or self._held or not self._flying
+        self._inbox.word[END] = 0 if idle or not self.only_exchanges else self._next_event()
 
     def _next_event(self) -> int:
-        """Return the next step whose beginning needs more than the exchange of a stage."""
-        step, every = -(-self._tick // STAGES), self._configuration.record_every
-        events = [self._granted, -(-step // every) * every, self._report_at, *self._pushes]
-        return min(event for event in events if event >= step)
+        """Return the tick of the next step at which this bird reports, or is held or pushed."""
+        step, every = -(-self.tick // STAGES), self._configuration.record_every
+        events = [self._granted, -(-step // every) * every, self._report_at]
+        ticks = [STAGES * event for event in events if event >= step]
+        # A push changes the values that the stage before it computes, before they are sent.
+        pushed = [STAGES * event - 1 for event in self._pushes if event >= step]
+        return min(ticks + pushed)
 
     @property
     def _now(self) -> tuple[int, int]:
@@ -306,8 +311,7 @@ class BirdProtocol(Listener):
         }
         self._end = grant.end
         self._flying = self._held = False
-        self._reached = self._start = -1
-        self._said.clear()
+        self._start = -1
         self._inbox.close(run_id, epoch)
         self._grant(grant.step)
         out = [self._progress(-1)]
@@ -323,7 +327,9 @@ class BirdProtocol(Listener):
         if grant.step <= self._granted:
             return []
         self._grant(grant.step)
-        return self._advance() if self._held else []
+        out = self._advance() if self._held else []
+        self._plan()
+        return out
 
     def _grant(self, step: int) -> None:
         step = min(step, self._end)
@@ -360,16 +366,11 @@ class BirdProtocol(Listener):
     def _begin(self) -> list[Outgoing]:
         """Once the checkpoint and every wing are known, begin the epoch: send the first stage."""
         checkpoint = self._here
-        if (
-            self._flying
-            or not self._around.known
-            or checkpoint is None
-            or self._begun_without_it
-        ):
+        if self._flying or not self._around.known or checkpoint is None or self._begun_without_it:
             return []
         self._flying = self._session.flying = True
         self._pushes = self._pushes_of(checkpoint)
-        self._tick = STAGES * checkpoint.step
+        self._began = STAGES * checkpoint.step
         if len(checkpoint.position):
             self._start = checkpoint.step
             mine = slice((self.bird - 1) * self._members, self.bird * self._members)
@@ -384,9 +385,9 @@ class BirdProtocol(Listener):
         begin(self._own, self._mine, self._work)
         if self._receiver:
             self._receiver.begin(checkpoint.memory)
+        due = self._inbox.open(self._began)
         self._grant(self._granted)
-        out = [self._stage()] if self._inbox.open(self._tick) else []
-        return out if self._inbox.lacking else out + self._advance()
+        return [*([self._stage()] if due else []), *self.advance()]
 
     def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:
         """Return the pushes of this bird, by step, in their order.
@@ -414,20 +415,14 @@ class BirdProtocol(Listener):
 
     def _stage(self) -> Outgoing:
         """Return the message with this tick's values."""
-        step, stage = divmod(self._tick, STAGES)
-        side = self.outbox[self._tick & 1]
-        run_id, epoch = self._now
-        HEADER.pack_into(side, HEADER_AT, run_id, step, epoch, self.bird, stage, self._members)
-        said = self._said_at(self._tick)
-        self._said.append(said)
-        return said
+        say(self.words)
+        return Channel.STAGE, bytes(self.outbox[self._inbox.side])
 
     def _advance(self) -> list[Outgoing]:
-        """Continue, stage by stage, as far as the messages and the grant allow."""
         out: list[Outgoing] = []
         inbox = self._inbox
-        while not inbox.lacking:
-            tick = self._tick
+        while inbox.complete:
+            tick = self.tick
             stage = tick % STAGES
             if not self._held:
                 heard = inbox.heard
@@ -444,23 +439,24 @@ class BirdProtocol(Listener):
                 if self._held:
                     break
             out += self._turn()
+        self._plan()
         return out
 
     def _turn(self) -> list[Outgoing]:
         """Go to the next tick, whose values are known; return the message to send at it."""
-        self._tick = tick = self._tick + 1
+        tick = self.tick + 1
         if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
             begin(self._own, self._mine, self._work)
-        return [self._stage()] if self._inbox.turn(tick) else []
+        return [self._stage()] if self._inbox.turn() else []
 
     def _listen(self, heard: FloatArray) -> FloatArray:
         """Return the known values of the neighbours at this tick; set the control force."""
         if self._receiver is not None:
             heard = self._receiver.listen(
-                self._tick, self._around.geometry, heard[self._inbox.side], self._mine
+                self.tick, self._around.geometry, heard[self._inbox.side], self._mine
             )
         if self._steering is not None:
-            self._steering.steer(self._tick, heard, self._mine)
+            self._steering.steer(self.tick, heard, self._mine)
         return heard
 
     def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
@@ -473,7 +469,6 @@ class BirdProtocol(Listener):
                 run_id, epoch = self._now
                 memory = Memory(run_id, step, epoch, self.bird, data)
                 out.append((Channel.MEMORY, memory.encode()))
-        self._reached = step
         if step >= self._granted or step == self._report_at:
             out.append(self._progress(step))
             if self._granted - step > MOST_SILENT:

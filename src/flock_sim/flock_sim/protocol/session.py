@@ -15,7 +15,6 @@ from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, REPEATE
 from flock_sim.messages.types import Grant, Push
 from flock_sim.protocol.free_flight import NO_WAY_BACK
 
-
 INCARNATIONS = 2**64
 """Number of values of an incarnation, which has 64 bits in messages."""
 
