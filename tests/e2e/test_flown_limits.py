@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from support.terminal import Terminal
 
 LARGE_STEPS = ("--dt", 100, "--t-max", 1e5)
@@ -47,11 +45,8 @@ def test_flown_verdicts_are_those_of_integration_and_of_the_exact_limits(
             assert holds == (low < ratio < high) or bird != limits["bird"]
 
     assert (flown["members"], flown["member_steps"], flown["processes"]) == (10, 10 * 1000, 2)
-    shares = [flown[f"{what}_share"] for what in ("kernel", "message", "waiting")]
-    assert sum(shares) == pytest.approx(1.0)
-    assert min(shares) >= 0.0
-    assert shares[0] > 0.0
-    # The stopwatch has changed no bit, and the bag is one like all others.
+    assert {flown[f"{what}_share"] for what in ("kernel", "message", "waiting")} == {None}
+    # The bag is one like all others.
     terminal.well("reference", "--repeat", "diagram", "--output", "again")
     assert terminal.well("compare", "diagram", "again", "--json").json["equal"]
 
@@ -71,7 +66,6 @@ def test_a_flock_outside_of_the_grid_flies_along(terminal: Terminal) -> None:
     flock = ("--birds", 2, "--bird", 1, "--between", "0.5,0.6", "--points", 2)
     done = terminal.well("limits", "--method", "fly", *flock, "--t-max", 100, "--processes", 1)
     assert "3 members at once" in done.stdout
-    assert "in the kernel" in done.stdout
 
 
 def test_an_interrupted_diagram_leaves_nothing(terminal: Terminal) -> None:

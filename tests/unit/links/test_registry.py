@@ -54,7 +54,7 @@ def test_a_registered_model_is_compiled_before_a_flight():
     """A bird that compiled in flight would keep the others waiting for seconds."""
     register(LinkModel("slow", frozen))
     flock = FlockConfiguration(birds=5, t_max=100.0, links=("slow:interval=5",))
-    listening = BirdProtocol(3, flock, run_id=1)._receiver._listen
+    listening = BirdProtocol(3, flock, run_id=1)._motion._receiver._listen
     assert not listening.signatures
     warm_links(flock)
     assert listening.signatures

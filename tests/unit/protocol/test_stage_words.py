@@ -59,8 +59,8 @@ class Flown:
         message = np.frombuffer(data, np.uint8)
         assert accept(words, ANY, message.ctypes.data, len(data)) == TAKEN
         while words[TICK] < words[END] and not words[LACKING + words[SIDE]]:
-            bird = self.bird
-            arrays = bird._own, bird._around.geometry, bird._inbox.heard, bird._mine, bird._work
+            own = self.bird._motion
+            arrays = own._own, own._geometry, self.bird._inbox.heard, own._mine, own._work
             feel_and_move(words[TICK], FLOCK.dt, *arrays)
             words[TICK] += 1
             turn(words, words[TICK] + 1)
@@ -158,8 +158,6 @@ def test_a_released_bird_has_no_fast_path() -> None:
 def test_birds_that_do_more_at_a_stage_have_no_fast_path() -> None:
     linked = FlockConfiguration(birds=3, links=("hold:interval=3",))
     assert not BirdProtocol(2, linked).only_exchanges
-    timed = BirdProtocol(2, FLOCK, stage_kernel=lambda *arguments: feel_and_move(*arguments))
-    assert not timed.only_exchanges
     steered = BirdProtocol(2, FLOCK, control=lambda view: np.zeros(2))
     assert not steered.only_exchanges
 

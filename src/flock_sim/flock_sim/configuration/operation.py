@@ -25,7 +25,6 @@ OPERATION: dict[str, Any] = {
     "played": False,
     "executor": "events",
     "timeout": 600.0,
-    "stopwatch": "",
     "real_time_factor": 0.0,
 }
 """The defaults."""
@@ -42,7 +41,6 @@ OPERATION_MEANING = {
     "played": "whether a flight is recorded that is played, and not flown",
     "executor": "which executor of rclpy serves the node",
     "timeout": "how long to wait without news, in s",
-    "stopwatch": "file that a process of birds writes where its time went to; empty: none",
     "real_time_factor": "how much faster than real time birds fly freely; 0: in lockstep",
 }
 """The meaning of each parameter of the operation of a node."""

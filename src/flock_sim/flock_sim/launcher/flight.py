@@ -17,7 +17,6 @@ from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.launcher.partition import partition
 from flock_sim.launcher.supervisor import Supervisor
 from flock_sim.ros.discovery import own_domain, prepare_discovery
-from flock_sim.ros.time_breakdown import TimeBreakdown
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -51,8 +50,6 @@ class Plan:
     resume: bool = False
     real_time_factor: float = 0.0
     """Real-time factor of a free flight; 0: lockstep."""
-    stopwatch: Path | None = None
-    """Directory for the time breakdowns of the processes of birds; None: no breakdowns."""
     told: FlightParameters | None = None
     """Operating parameters of the nodes from a parameter file."""
     from_file: tuple[str, ...] = ()
@@ -66,11 +63,6 @@ class Plan:
     def operation(self, nodes: Iterable[str]) -> dict[str, Any]:
         """Return the parameters of the process of `nodes` that override the common ones."""
         return self.told.of(nodes, self.from_file) if self.told else {}
-
-    def times(self) -> TimeBreakdown:
-        """Return the summed time breakdown of all processes of birds; `stopwatch` must be set."""
-        assert self.stopwatch is not None
-        return TimeBreakdown.sum(map(TimeBreakdown.read, sorted(self.stopwatch.iterdir())))
 
 
 def begin_bag(output: Output, plan: Plan) -> None:
@@ -127,12 +119,7 @@ def fly(plan: Plan) -> dict[str, Any]:
             }
             supervisor.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
         for birds in partition(configuration.birds, plan.processes):
-            told = plan.operation(map(topics.bird_name, birds))
-            own: dict[str, object] = {**common, **told, "indices": birds}
-            if plan.stopwatch is not None:
-                own["stopwatch"] = str(
-                    plan.stopwatch.absolute() / f"birds_from_{birds[0]:02d}.json"
-                )
+            own = {**common, **plan.operation(map(topics.bird_name, birds)), "indices": birds}
             supervisor.start(_name_of(birds), "flock_sim.nodes.bird_process", own)
         return _keep_time(plan, run_id, supervisor)
 

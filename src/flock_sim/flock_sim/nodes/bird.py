@@ -15,7 +15,6 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import MALFORMED
 from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
-from flock_sim.protocol.bird_kernel import StageKernel
 from flock_sim.protocol.control_force import Control
 from flock_sim.ros.compiled_exchange import (
     FAILED,
@@ -58,15 +57,14 @@ class BirdNode(DrainedNode):
         context: Context | None = None,
         services: bool = False,
         first: BirdNode | None = None,
-        stage_kernel: StageKernel | None = None,
         protocol: BirdProtocol | FreeBird | None = None,
         outlets: Mapping[Channel, tuple[type, str]] | None = None,
     ) -> None:
         """Put bird 1..N on its topics; `services`: with rosout and the parameter services.
 
         `first` is the first bird of its process, if there are several: they share the publisher of
-        reports, and the rejection warnings. `stage_kernel` is for the protocol. Without `protocol`
-        and its `outlets`, the bird flies in lockstep.
+        reports, and the rejection warnings. Without `protocol` and its `outlets`, the bird flies in
+        lockstep.
         """
         super().__init__(
             topics.bird_name(bird),
@@ -76,7 +74,7 @@ class BirdNode(DrainedNode):
             enable_rosout=services,
         )
         self.protocol = protocol or BirdProtocol(
-            bird, configuration, run_id, new_incarnation(), self.control, stage_kernel
+            bird, configuration, run_id, new_incarnation(), self.control
         )
         """The state machine of this bird."""
         self._exchange: CompiledExchange | None = None

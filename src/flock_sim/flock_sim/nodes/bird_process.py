@@ -8,7 +8,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from pathlib import Path
 
 from rclpy.executors import Executor
 
@@ -18,14 +17,12 @@ from flock_sim.errors import FlockError
 from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
-from flock_sim.protocol.bird_kernel import feel_and_move
 from flock_sim.protocol.free_flight import check_free
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import wait_until_heard
 from flock_sim.ros.parameters import OF_ALL, declare
 from flock_sim.ros.process import Process, executing, run_node
 from flock_sim.ros.spin import keep_flying
-from flock_sim.ros.stopwatch import Stopwatch
 from flock_sim.ros.watchdog import Watchdog
 
 FAREWELL = 1.0
@@ -44,10 +41,10 @@ def work(process: Process) -> None:
             raise FlockError(
                 f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
             )
-    watch = Stopwatch() if operation["stopwatch"] else None
     with executing(operation["executor"], process.context) as executor:
         alone = len(indices) == 1
-        kind, keep = _free(process) if operation["real_time_factor"] else _lockstep(watch)
+        free = bool(operation["real_time_factor"])
+        kind, keep = _free(process) if free else (BirdNode, keep_flying)
         birds = create_birds(
             indices, configuration, operation["run_id"], executor, kind=kind, services=alone
         )
@@ -57,16 +54,7 @@ def work(process: Process) -> None:
         process.settle()
         gc.freeze()  # these objects stay, so the collector need not scan them
         fly_together(birds, executor, process.stop, process.watchdog(), keep)
-        if watch:
-            watch.times.write(Path(operation["stopwatch"]))
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
-
-
-def _lockstep(watch: Stopwatch | None) -> tuple[Callable[..., BirdNode], Keep]:
-    """Return the factory of lockstep birds and the function that flies them, timed by `watch`."""
-    if watch is None:
-        return BirdNode, keep_flying
-    return partial(BirdNode, stage_kernel=watch.around(feel_and_move)), watch.keep_flying
 
 
 def _free(process: Process) -> tuple[Callable[..., BirdNode], Keep]:

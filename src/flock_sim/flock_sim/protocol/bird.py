@@ -17,42 +17,20 @@ from __future__ import annotations
 from collections import Counter
 from enum import Enum
 
-import numpy as np
-
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.configuration.perturbation import Perturbation, perturbations
-from flock_sim.errors import FlockError
-from flock_sim.messages.epochs import out_of_date
+from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.messages.rejection import FOREIGN as FOREIGN_RUN
-from flock_sim.messages.rejection import IMPOSSIBLE, REPEATED
-from flock_sim.messages.stage_layout import stage_bytes, stage_numbers, stage_words
 from flock_sim.messages.topics import bird_name
-from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, State, Wing
-from flock_sim.physics import formation
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.messages.types import Checkpoint, Grant, Progress, Wing
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.physics.scaling import Scales
-from flock_sim.protocol.bird_kernel import (
-    DRAG,
-    POSITION,
-    SPEED,
-    WORK_ROWS,
-    StageKernel,
-    begin,
-    constants,
-    feel_and_move,
-)
-from flock_sim.protocol.control_force import Control, Steering
-from flock_sim.protocol.link_receiver import LinkReceiver
+from flock_sim.protocol.checkpoints import Checkpoints
+from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.listener import Listener
+from flock_sim.protocol.motion import Motion
 from flock_sim.protocol.neighbours import Neighbourhood
 from flock_sim.protocol.session import Session
 from flock_sim.protocol.stage_inbox import StageInbox
-from flock_sim.protocol.stage_words import END, FOREIGN, OWN, SENT, TICK, say
-
-EARLY = 16
-"""Most checkpoints kept for epochs that may begin later."""
-
+from flock_sim.protocol.stage_words import END, FOREIGN, TICK
 
 MOST_SILENT = 1000
 """Most steps between two reports, however far the grant goes: it may not be the clock's."""
@@ -85,8 +63,6 @@ class BirdProtocol(Listener):
     ['wing', 'progress', 'state', 'progress', 'state', 'progress', 'state', 'progress']
     """
 
-    _feel_and_move: StageKernel = staticmethod(feel_and_move)
-
     def __init__(
         self,
         bird: int,
@@ -94,13 +70,11 @@ class BirdProtocol(Listener):
         run_id: int = 0,
         incarnation: int = 0,
         control: Control | None = None,
-        stage_kernel: StageKernel | None = None,
     ) -> None:
         """Place bird 1..N at its start. `run_id` 0: the run of the first grant received.
 
         `incarnation` distinguishes this process of the bird from earlier ones. `control` gives a
-        force in addition to thrust and drag. `stage_kernel` replaces `feel_and_move` and computes
-        the same; a stopwatch may wrap it.
+        force in addition to thrust and drag.
         """
         self.bird = bird
         self.ignored_for = Counter()
@@ -109,50 +83,23 @@ class BirdProtocol(Listener):
         self._session = Session(bird_name(bird), configuration, run_id, incarnation)
         self._end = configuration.steps
         self._granted = -1
-        # By run and epoch, for this epoch and later ones: our run may not be known yet.
-        self._checkpoints: dict[tuple[int, int], Checkpoint] = {}
         self._flying = False  # in this epoch: the checkpoint and every wing are known
         self._start = 0  # the step of the checkpoint; -1 if its state is not on disk
         self._report_at = 0
         self._began = 0  # the tick at which this bird began the epoch
         self._held = False  # at a step's beginning, own values known, not granted
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
-
-        members = configuration.members
-        self._members = members
-        self._dt = configuration.dt
-        self._own = constants(bird, configuration)
+        self._checkpoints = Checkpoints(bird, configuration, self._session)
         self._around = Neighbourhood(bird, configuration)
-        link_table = configuration.link_table
-        self._steering = (
-            Steering(bird, control, self._own, self._around.birds, configuration)
-            if control
-            else None
-        )
-        self._inbox = StageInbox(
-            self._around.birds, members, link_table.exchange_schedule, run_id, bird
-        )
-        self._receiver = LinkReceiver(bird, configuration) if link_table.remembers(bird) else None
-        self._mine = np.zeros((2, stage_words(members)))
-        self._said = np.zeros((2, stage_words(members)))
-        self.outbox = [stage_bytes(self._said[side], members) for side in range(2)]
-        """Its last two stage messages: one for each side of the inbox."""
-        for values in self._mine:
-            stage_bytes(values, members)
-        self._work = np.zeros((WORK_ROWS, members))
-        if stage_kernel is not None:
-            self._feel_and_move = stage_kernel
+        schedule = configuration.link_table.exchange_schedule
+        members = configuration.members
+        self._inbox = StageInbox(self._around.birds, members, schedule, run_id, bird)
+        self._motion = Motion(bird, configuration, self._around, self._inbox, control)
         self.words = self._inbox.words
         """The words that the compiled exchange continues from; see `protocol/stage_words.py`."""
-        arrays = self._own, self._around.geometry, self._inbox.heard, self._mine, self._work
-        for address, array in enumerate((*arrays, self._said), OWN):
-            assert array.flags.c_contiguous
-            self.words[address] = array.ctypes.data
-        self.only_exchanges = (
-            self._inbox.every_tick
-            and not (self._receiver or self._steering)
-            and self._feel_and_move is feel_and_move
-        )
+        self.outbox = self._motion.outbox
+        """Its last two stage messages, one for each side: the compiled exchange sends them."""
+        self.only_exchanges = self._motion.only_exchanges
         """Whether most stages need no more than the exchange of messages."""
 
     @property
@@ -203,7 +150,7 @@ class BirdProtocol(Listener):
             return "the clock's first grant"
         if unknown := self._around.unknown:
             return f"the wing of {', '.join(map(bird_name, unknown))}"
-        if not self._flying and self._here is None:
+        if not self._flying and self._checkpoints.now is None:
             return "the checkpoint to go on from (the recorder's, or the clock's if none records)"
         if not self._flying:
             return "the clock to begin anew: this epoch was begun without it"
@@ -216,17 +163,8 @@ class BirdProtocol(Listener):
 
     def receive_checkpoint(self, checkpoint: Checkpoint) -> list[Outgoing]:
         """Store the checkpoint that an epoch begins from, and begin the epoch if possible."""
-        if reason := self._session.refuses(checkpoint.run_id, checkpoint.epoch):
+        if reason := self._checkpoints.take(checkpoint):
             return self.ignore(reason)
-        key = checkpoint.run_id, checkpoint.epoch
-        known = key in self._checkpoints
-        if known or not self._fits(checkpoint):
-            return self.ignore(REPEATED if known else IMPOSSIBLE)
-        self._checkpoints[key] = checkpoint
-        if len(self._checkpoints) > EARLY:
-            oldest = next(key for key in self._checkpoints if key != self._now)
-            del self._checkpoints[oldest]
-            return self.ignore(FOREIGN_RUN)
         return self._begin()
 
     def receive_wing(self, wing: Wing) -> list[Outgoing]:
@@ -262,9 +200,7 @@ class BirdProtocol(Listener):
     @property
     def last_said(self) -> list[Outgoing]:
         """The last two stages sent in this epoch, the later one last."""
-        sent, side = self._inbox.word[SENT], self._inbox.side
-        sides = [1 - side, side][max(0, 2 - sent) :]
-        return [(Channel.STAGE, bytes(self.outbox[side])) for side in sides]
+        return [(Channel.STAGE, data) for data in self._motion.last_said]
 
     def count_foreign(self) -> None:
         """Count the messages of other runs that the compiled exchange has ignored."""
@@ -296,19 +232,10 @@ class BirdProtocol(Listener):
         """The current run and epoch."""
         return self._session.run_id, self._session.epoch
 
-    @property
-    def _here(self) -> Checkpoint | None:
-        """The checkpoint of this epoch, if it has arrived."""
-        return self._checkpoints.get(self._now)
-
     def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
         """Drop the current epoch, and wait for the checkpoint of the grant's epoch."""
         run_id, epoch = self._now
-        self._checkpoints = {
-            key: checkpoint
-            for key, checkpoint in self._checkpoints.items()
-            if key[0] == run_id and not out_of_date(key[1], epoch)
-        }
+        self._checkpoints.forget_old()
         self._end = grant.end
         self._flying = self._held = False
         self._start = -1
@@ -343,131 +270,61 @@ class BirdProtocol(Listener):
 
         The grant is for an earlier incarnation of this bird, or it is forged.
         """
-        checkpoint = self._here
+        checkpoint = self._checkpoints.now
         return not self._flying and checkpoint is not None and self._granted > checkpoint.step
-
-    def _fits(self, checkpoint: Checkpoint) -> bool:
-        """Whether a checkpoint can belong to this flight."""
-        configuration = self._configuration
-        size = len(checkpoint.position)
-        try:
-            self._pushes_of(checkpoint)
-        except FlockError:
-            return False
-        return (
-            size == len(checkpoint.speed)
-            and size in (0, configuration.birds * self._members)
-            and checkpoint.step <= (configuration.steps if size else 0)
-            and checkpoint.step % configuration.record_every == 0
-            and len(checkpoint.memory)
-            == (configuration.link_table.memory_ends[-1] * self._members if size else 0)
-        )
 
     def _begin(self) -> list[Outgoing]:
         """Once the checkpoint and every wing are known, begin the epoch: send the first stage."""
-        checkpoint = self._here
+        checkpoint = self._checkpoints.now
         if self._flying or not self._around.known or checkpoint is None or self._begun_without_it:
             return []
         self._flying = self._session.flying = True
-        self._pushes = self._pushes_of(checkpoint)
+        self._pushes = self._checkpoints.pushes(checkpoint)
         self._began = STAGES * checkpoint.step
+        self._motion.begin(checkpoint)
         if len(checkpoint.position):
-            self._start = checkpoint.step
-            mine = slice((self.bird - 1) * self._members, self.bird * self._members)
-            self._work[POSITION], self._work[SPEED] = (
-                checkpoint.position[mine],
-                checkpoint.speed[mine],
-            )
+            self._start = checkpoint.step  # a recorded state includes the pushes of its step
         else:
-            self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
-            self._work[SPEED] = Scales.of(self._configuration).cruise_speed
-            self._push(0)  # a recorded state already includes the pushes of its step
-        begin(self._own, self._mine, self._work)
-        if self._receiver:
-            self._receiver.begin(checkpoint.memory)
+            self._push(0)
         due = self._inbox.open(self._began)
         self._grant(self._granted)
         return [*([self._stage()] if due else []), *self.advance()]
 
-    def _pushes_of(self, checkpoint: Checkpoint) -> dict[int, list[Perturbation]]:
-        """Return the pushes of this bird, by step, in their order.
-
-        Raises FlockError if the checkpoint names a bird, member or step that the flight has not.
-        """
-        configuration = self._configuration
-        live = perturbations(
-            checkpoint.perturbations.split(),
-            configuration.birds,
-            configuration.members,
-            configuration.steps,
-        )
-        pushes: dict[int, list[Perturbation]] = {}
-        for push in (*configuration.pushes, *live):
-            if push.bird == self.bird:
-                pushes.setdefault(push.step, []).append(push)
-        return pushes
-
-    def _push(self, step: int) -> bool:
-        """Apply the perturbations at the beginning of `step`; return whether `step` has any."""
-        for push in self._pushes.get(step, []):
-            push.push(self._work[POSITION], self._work[SPEED])
-        return step in self._pushes
+    def _push(self, step: int) -> None:
+        """Apply the perturbations at the beginning of `step`."""
+        if pushes := self._pushes.get(step):
+            self._motion.push(pushes)
 
     def _stage(self) -> Outgoing:
         """Return the message with this tick's values."""
-        say(self.words)
-        return Channel.STAGE, bytes(self.outbox[self._inbox.side])
+        return Channel.STAGE, self._motion.say()
 
     def _advance(self) -> list[Outgoing]:
         out: list[Outgoing] = []
         inbox = self._inbox
         while inbox.complete:
-            tick = self.tick
-            stage = tick % STAGES
+            step, stage = divmod(self.tick, STAGES)
             if not self._held:
-                heard = inbox.heard
-                if self._receiver is not None or self._steering is not None:
-                    heard = self._listen(heard)
-                self._feel_and_move(
-                    tick, self._dt, self._own, self._around.geometry, heard, self._mine, self._work
-                )
+                self._motion.compute()
             if stage == 0:
-                step = tick // STAGES
                 if not self._held:
-                    out += self._reports(step, self._mine[tick & 1])
+                    out += self._reports(step)
                 self._held = step >= self._granted
                 if self._held:
                     break
-            out += self._turn()
+            if stage + 1 == STAGES:
+                self._push(step + 1)
+            if inbox.turn():
+                out.append(self._stage())
         self._plan()
         return out
 
-    def _turn(self) -> list[Outgoing]:
-        """Go to the next tick, whose values are known; return the message to send at it."""
-        tick = self.tick + 1
-        if self._pushes and tick % STAGES == 0 and self._push(tick // STAGES):
-            begin(self._own, self._mine, self._work)
-        return [self._stage()] if self._inbox.turn() else []
-
-    def _listen(self, heard: FloatArray) -> FloatArray:
-        """Return the known values of the neighbours at this tick; set the control force."""
-        if self._receiver is not None:
-            heard = self._receiver.listen(
-                self.tick, self._around.geometry, heard[self._inbox.side], self._mine
-            )
-        if self._steering is not None:
-            self._steering.steer(self.tick, heard, self._mine)
-        return heard
-
-    def _reports(self, step: int, words: FloatArray) -> list[Outgoing]:
+    def _reports(self, step: int) -> list[Outgoing]:
         """Return the messages to the recorder and the clock at the beginning of `step`."""
         out = []
         if step % self._configuration.record_every == 0 and step != self._start:
-            out.append((Channel.STATE, self._state(step, words).encode()))
-            if self._receiver:
-                data = self._receiver.memory.ravel()
-                run_id, epoch = self._now
-                memory = Memory(run_id, step, epoch, self.bird, data)
+            out.append((Channel.STATE, self._motion.state(*self._now).encode()))
+            if memory := self._motion.memory(*self._now):
                 out.append((Channel.MEMORY, memory.encode()))
         if step >= self._granted or step == self._report_at:
             out.append(self._progress(step))
@@ -480,15 +337,3 @@ class BirdProtocol(Listener):
         run_id, epoch = self._now
         progress = Progress(run_id, step, epoch, bird_name(self.bird), self._session.incarnation)
         return Channel.PROGRESS, progress.encode()
-
-    def _state(self, step: int, words: FloatArray) -> State:
-        position, speed, circulation = stage_numbers(words, self._members)
-        return State.at(
-            self._configuration,
-            step,
-            position,
-            speed,
-            circulation,
-            self._work[DRAG],
-            *self._now,
-        )

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -22,11 +20,6 @@ MASS, THRUST, PROFILE_DRAG, INDUCED_DRAG, CIRCULATION, HALF_SPAN = range(6)
 # Rows of a bird's working memory.
 DRAG, POSITION, SPEED, VELOCITY_SLOPES, SPEED_SLOPES = 0, 1, 2, 3, 3 + STAGES
 WORK_ROWS = SPEED_SLOPES + STAGES
-
-StageKernel = Callable[
-    [int, float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None
-]
-"""Type of `feel_and_move`, and of a function that wraps it."""
 
 
 def constants(bird: int, configuration: FlockConfiguration) -> FloatArray:

@@ -76,15 +76,8 @@ def _how(facts: dict[str, Any]) -> list[str]:
         f"flown over ROS 2 by {facts['birds']} birds in {facts['processes']} processes, "
         f"{facts['members']} members at once,",
         f"{done} ({facts['start_seconds']:.1f} s of them to start)",
-        f"time of the birds' processes: {_percent(facts['kernel_share'])} in the kernel, "
-        f"{_percent(facts['message_share'])} on messages, "
-        f"{_percent(facts['waiting_share'])} waiting",
     ]
     return [*lines, f"bag:   {facts['bag']}"] if facts["bag"] else lines
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
 
 
 def _opens(end: End) -> str:
