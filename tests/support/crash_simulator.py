@@ -35,9 +35,9 @@ from flock_sim.messages.types import (
     Wing,
 )
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.clock import Timekeeper
-from flock_sim.protocol.session import Session
+from flock_sim.protocol.session import Channel, Outgoing, Session
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from support.network import expected_states
 

@@ -15,7 +15,8 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.protocol.bird import BirdProtocol, Channel
+from flock_sim.protocol.bird import BirdProtocol
+from flock_sim.protocol.session import Channel
 from flock_sim.reference.integrator import Reference
 
 RUN, EPOCH = 7, 3

@@ -21,7 +21,7 @@ from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.types import Grant, Push
-from flock_sim.protocol.session import refuses_push
+from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, lay_down, recording
 from flock_sim.recording.run import Run
 from flock_tools.commands.repair import tool

@@ -16,7 +16,8 @@ from flock_sim.links.channel import hear, hearing
 from flock_sim.links.models import LinkModel
 from flock_sim.links.registry import register
 from flock_sim.messages.types import Checkpoint, Grant, State, Wing
-from flock_sim.protocol.bird import BirdProtocol, Channel
+from flock_sim.protocol.bird import BirdProtocol
+from flock_sim.protocol.session import Channel
 from flock_sim.reference.integrator import Reference
 
 FAULTS = "interval=3,delay=2,jitter=1,drop=0.2,noise=0.001,timeout=30"

@@ -13,8 +13,9 @@ from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import IMPOSSIBLE
 from flock_sim.messages.stage_layout import stage_header
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.clock import Timekeeper
+from flock_sim.protocol.session import Channel, Outgoing
 from support.network import EPOCH, RUN, Kind, Network, expected_states
 
 

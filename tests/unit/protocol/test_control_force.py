@@ -11,8 +11,9 @@ from flock_sim.errors import FlockError
 from flock_sim.messages.types import Checkpoint, Grant, State, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.scaling import Scales
-from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.control_force import Control, Perception
+from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.reference.integrator import Reference
 
 STEPS = 20

@@ -18,11 +18,11 @@ from flock_sim.messages.types import ARRAYS, Ages, Checkpoint, Grant, Progress, 
 from flock_sim.physics import formation
 from flock_sim.physics.dynamics import acceleration, drag_of_pair
 from flock_sim.physics.flock import Flock
-from flock_sim.protocol.bird import Channel, Outgoing
 from flock_sim.protocol.bird_kernel import constants
 from flock_sim.protocol.clock import Timekeeper
 from flock_sim.protocol.free_bird import FreeBird
 from flock_sim.protocol.free_flight import check_free
+from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.reference.integrator import Reference
 
 RUN, EPOCH, FACTOR = 7, 3, 2.0

@@ -17,8 +17,9 @@ from flock_sim.messages.epochs import REACH
 from flock_sim.messages.handshake import check_handshake, handshake, run_id_of
 from flock_sim.messages.topics import RECORDER, bird_name
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.clock import Timekeeper
+from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.recording.row_assembler import RowAssembler
 from flock_sim.reference.integrator import Reference
 from support.crash_simulator import CLOCK, RUN, World

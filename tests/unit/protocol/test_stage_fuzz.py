@@ -18,7 +18,8 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.stage_layout import HEADER_AT, HEADER_END
 from flock_sim.messages.types import Checkpoint, Grant, Wing
-from flock_sim.protocol.bird import BirdProtocol, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
+from flock_sim.protocol.session import Outgoing
 from flock_sim.protocol.stage_inbox import EARLY
 from flock_sim.reference.integrator import Reference
 

@@ -13,8 +13,9 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.stage_layout import HEADER, HEADER_AT, stage_bytes
 from flock_sim.messages.types import Checkpoint, Grant, Stage, Wing
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.protocol.bird import BirdProtocol, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.bird_kernel import feel_and_move
+from flock_sim.protocol.session import Outgoing
 from flock_sim.protocol.stage_words import (
     ANY,
     END,

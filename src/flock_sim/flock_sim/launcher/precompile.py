@@ -49,8 +49,9 @@ def warm_links(configuration: FlockConfiguration | None = None) -> None:
     Registered link models are compiled for the links of `configuration`.
     """
     from flock_sim.messages.types import Checkpoint, Grant, Wing
-    from flock_sim.protocol.bird import BirdProtocol, Channel
+    from flock_sim.protocol.bird import BirdProtocol
     from flock_sim.protocol.latest_values import LatestValues
+    from flock_sim.protocol.session import Channel
 
     configuration = configuration or FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
     end, dt = configuration.steps, configuration.dt

@@ -14,8 +14,9 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import MALFORMED
-from flock_sim.protocol.bird import BirdProtocol, Channel, Outgoing
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.control_force import Control
+from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.ros.compiled_exchange import (
     FAILED,
     OVER,

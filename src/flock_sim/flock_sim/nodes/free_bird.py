@@ -14,8 +14,8 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.signals import Stop
 from flock_sim.messages import topics
 from flock_sim.nodes.bird import BirdNode
-from flock_sim.protocol.bird import Channel
 from flock_sim.protocol.free_bird import FreeBird
+from flock_sim.protocol.session import Channel
 from flock_sim.ros.process import new_incarnation
 from flock_sim.ros.spin import REPORT_EVERY
 from flock_sim.ros.watchdog import Watchdog

@@ -25,7 +25,7 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import NEVER
 from flock_sim.messages.handshake import check_handshake
-from flock_sim.protocol.session import refuses_push
+from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, recording
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.endpoints import DrainedNode

@@ -40,7 +40,8 @@ from flock_sim.messages.epochs import NEVER, in_order, out_of_date
 from flock_sim.messages.rejection import FOREIGN, MALFORMED, REPEATED, STALE
 from flock_sim.nodes.played_recorder import check_played, record_played
 from flock_sim.protocol.free_flight import GONE, check_free
-from flock_sim.protocol.session import Session, refuses_push
+from flock_sim.protocol.requests import refuses_push
+from flock_sim.protocol.session import Session
 from flock_sim.recording.flight_writer import Recording, recording
 from flock_sim.recording.output_directory import own_bag, own_output
 from flock_sim.recording.row_assembler import Row, RowAssembler

@@ -15,7 +15,6 @@ that epoch and continues from it. A flight begins in the same way.
 from __future__ import annotations
 
 from collections import Counter
-from enum import Enum
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
@@ -25,29 +24,14 @@ from flock_sim.messages.types import Checkpoint, Grant, Progress, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.checkpoints import Checkpoints
 from flock_sim.protocol.control_force import Control
-from flock_sim.protocol.listener import Listener
 from flock_sim.protocol.motion import Motion
 from flock_sim.protocol.neighbours import Neighbourhood
-from flock_sim.protocol.session import Session
+from flock_sim.protocol.session import Channel, Listener, Outgoing, Session
 from flock_sim.protocol.stage_inbox import StageInbox
 from flock_sim.protocol.stage_words import END, FOREIGN, TICK
 
 MOST_SILENT = 1000
 """Most steps between two reports, however far the grant goes: it may not be the clock's."""
-
-
-class Channel(Enum):
-    """Where a message of a bird goes."""
-
-    WING = "wing"
-    STAGE = "stage"
-    STATE = "state"
-    MEMORY = "memory"
-    AGES = "ages"
-    PROGRESS = "progress"
-
-
-Outgoing = tuple[Channel, bytes]
 
 
 class BirdProtocol(Listener):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import secrets
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -20,13 +19,8 @@ from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import FOREIGN, REPEATED, STALE
 from flock_sim.messages.topics import RECORDER, bird_name, steps_ahead
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Push, Time
-
-ABSENT = -2
-"""The step of a node that has not reported. -1 is the step of a bird that has reported but has not
-heard its neighbours, or of a recorder that has reported but has recorded nothing."""
-
-MOST_DOUBTED = 100_000
-"""Most reports that are remembered until they are repeated."""
+from flock_sim.protocol.attendance import ABSENT, Attendance
+from flock_sim.protocol.requests import Pause, step_of_push
 
 UNKNOWN = "from nobody of this flock"
 
@@ -44,6 +38,17 @@ class Rewinds:
 
     count: int = 0
     steps: int = 0
+    _reached: int = 0  # the step reached before the last rewind
+
+    def rewind(self, reached: int) -> None:
+        """Count a rewind. `reached` is the step of the flock; below 0 during another rewind."""
+        self.count += 1
+        self._reached = max(reached, self._reached)
+
+    def go_on_from(self, step: int) -> None:
+        """Count the steps that are flown again, once the flock has begun the epoch at `step`."""
+        self.steps += max(0, self._reached - step)
+        self._reached = 0
 
 
 class Timekeeper:
@@ -89,32 +94,17 @@ class Timekeeper:
         self.rewinds = Rewinds()
         self.ignored_for: Counter[str] = Counter()
         """How many messages changed nothing, by the reason."""
-        birds = [bird_name(bird) for bird in range(1, configuration.birds + 1)]
-        self._birds = frozenset(birds)
-        self._incarnations: dict[str, set[int]] = {
-            name: set() for name in [*birds, *([RECORDER] if record else [])]
-        }
-        self._record = record
+        birds = map(bird_name, range(1, configuration.birds + 1))
+        self._nodes = Attendance(birds, record)
         self._leave = 0  # the furthest step ever granted
-        self._pause_at: int | None = None
-        self.steps_asked = 0
-        """Steps to fly from where the run begins or continues, before a pause; 0: none."""
-        self._pausing = False  # pause where the run begins or continues
-        # Reports received once that would end a free flight.
-        self._doubted: set[tuple[str, int, int]] = set()
+        self._pause = Pause()
         self._stopping = False  # stop once all nodes have reported
         self._perturbation = 0
-        self._reached_before = 0  # the step reached before the last rewind
         self._first: int | None = None  # the step that this clock began at
         self._begin_epoch()
 
     def _begin_epoch(self) -> None:
-        self.step = ABSENT
-        """The step that every bird has reached; below 0 until they have heard each other."""
-        self._reached = dict.fromkeys(self._incarnations, ABSENT)
-        # Number of birds at each step. It has few entries, however many birds fly.
-        self._birds_at = Counter(self._reached[name] for name in self._birds)
-        self._heard: set[str] = set()  # since the last move of any node
+        self._nodes.begin_epoch()
         self._granted = 0
         self._told = -1  # the last step whose time was published, or that is on disk
         self._checkpoint = ABSENT  # the last step on disk when the epoch began
@@ -123,7 +113,7 @@ class Timekeeper:
     def first_messages(self) -> list[Message]:
         """The messages that begin an epoch: they send every bird to the checkpoint."""
         messages: list[Message] = [self.grant]
-        if not self._record:
+        if not self._nodes.recorded:
             messages.append(Checkpoint.of_start(self.run_id, self.epoch))
         return messages
 
@@ -140,7 +130,7 @@ class Timekeeper:
     @property
     def finished(self) -> bool:
         """Whether the last step is reached, and is on disk if the run is recorded."""
-        if not self._record:
+        if not self._nodes.recorded:
             return self.step >= self.end
         last_recorded = self.end - self.end % self._configuration.record_every
         # If everything is on disk when an epoch begins, birds may have been released already.
@@ -150,17 +140,27 @@ class Timekeeper:
     @property
     def begun(self) -> bool:
         """Whether all nodes have reported, and every bird has heard its neighbours."""
-        return self.step >= 0 and self._reached.get(RECORDER) != ABSENT
+        return self._nodes.begun
+
+    @property
+    def step(self) -> int:
+        """The step that every bird has reached; below 0 until they have heard each other."""
+        return self._nodes.step
 
     @property
     def paused(self) -> bool:
         """Whether the flock has reached the step at which it pauses."""
-        return self._pause_at is not None and self.step >= self.pauses_at
+        return self._pause.at is not None and self.step >= self.pauses_at
 
     @property
     def pauses_at(self) -> int:
         """The step that the flock pauses at; the last step if no pause is set."""
-        return self.end if self._pause_at is None else min(self._pause_at, self.end)
+        return self.end if self._pause.at is None else min(self._pause.at, self.end)
+
+    @property
+    def steps_asked(self) -> int:
+        """Steps to fly from where the run begins or continues, before a pause; 0: none."""
+        return self._pause.steps
 
     @property
     def leave_known(self) -> bool:
@@ -170,12 +170,12 @@ class Timekeeper:
     @property
     def lag(self) -> int:
         """Steps that the flock is ahead of the last step on disk; 0 without a recorder."""
-        return max(0, self.step - max(self.saved, 0)) if self._record else 0
+        return max(0, self.step - max(self.saved, 0)) if self._nodes.recorded else 0
 
     @property
     def saved(self) -> int:
         """The last step on disk; -1 or less for none."""
-        return self._reached[RECORDER]
+        return self._nodes.saved
 
     @property
     def where(self) -> str:
@@ -185,33 +185,23 @@ class Timekeeper:
     @property
     def waiting_for(self) -> list[str]:
         """The nodes that must move before the run can continue; none in a pause."""
-        if self.paused:
-            return []
-        absent = [name for name, step in self._reached.items() if step == ABSENT]
-        if absent:
-            return absent
-        if self.step < max(self._granted, 1):
-            # Waiting birds report every second, so a silent one is the blocker.
-            silent = [name for name, _ in self._birds_reached() if name not in self._heard]
-            behind = [name for name, step in self._birds_reached() if step == self.step]
-            return silent if silent and self._heard else behind
-        return [RECORDER] if self._record else []
+        return [] if self.paused else self._nodes.waiting_for(self._granted)
 
     def receive(self, progress: Progress) -> list[Message]:
         """Take a progress report. One of another run, or an old one, has no effect."""
         if progress.run_id != self.run_id:
             return self._ignore(FOREIGN)
-        incarnations = self._incarnations.get(progress.who)
-        if incarnations is None:
+        who, incarnation = progress.who, progress.life
+        if who not in self._nodes:
             return self._ignore(UNKNOWN)
         later = ahead(progress.epoch, self.epoch)
-        came_back = bool(incarnations) and progress.life not in incarnations
+        came_back = self._nodes.is_new(who, incarnation)
         if out_of_reach(progress.epoch, self.epoch):
             later = 0 if came_back else -1  # the node comes back to our epoch by itself
         ends = self.free and self._granted > 0 and (came_back or later > 0)
-        if ends and self._doubts(progress):
+        if ends and self._nodes.doubts(progress):
             return self._ignore(REPEATED)
-        incarnations.add(progress.life)
+        self._nodes.know(who, incarnation)
         if came_back or later > 0:
             self.epoch = progress.epoch if later > 0 else self.epoch
             return self.rewind()
@@ -219,32 +209,27 @@ class Timekeeper:
             return self._ignore(STALE)
         if progress.step > self.end:
             return self._ignore(REPEATED)
-        self._heard.add(progress.who)
-        if progress.step <= self._reached[progress.who]:
+        first = who == RECORDER and self.saved == ABSENT
+        if not self._nodes.reach(who, progress.step):
             return []
-        first = self._reached[progress.who] == ABSENT
-        self._reach(progress.who, progress.step)
         self.moves += 1
-        self._heard.clear()
-        if progress.who == RECORDER and first:
+        if first:
             self._told = self._checkpoint = progress.step
             self._granted = max(0, progress.step)
             self._leave = max(self._leave, self._granted)
-        self.step = min(self._birds_at)
         if not self.begun:
             return []
-        if max(self._birds_at) > self._granted:
+        if self._nodes.furthest > self._granted:
             return self.rewind()  # granted by another clock, in an epoch of the same number
-        self._count_steps_lost()
-        self._pause_where_asked()
+        self._first = self.step if self._first is None else self._first
+        self.rewinds.go_on_from(self.step)
+        self._pause.begin(self._granted)
         return [*self._times(), *(self.stop() if self._stopping else self._grants())]
 
     def rewind(self) -> list[Message]:
         """Rewind all birds to the last step on disk, under a new epoch."""
-        if self.begun:
-            self._reached_before = self.step
         self.lost = self.free and self._granted > 0
-        self.rewinds.count += 1
+        self.rewinds.rewind(self.step if self.begun else 0)
         self.epoch = following(self.epoch)
         self.moves += 1
         self._begin_epoch()
@@ -252,29 +237,17 @@ class Timekeeper:
 
     def pause(self) -> None:
         """Pause at the furthest step granted; if none was granted, at the last step on disk."""
-        self.steps_asked = 0
-        self._pausing = not self.leave_known
-        self._pause_at = self._leave
+        self._pause.ask(self._leave, self.leave_known)
 
     def resume(self) -> list[Grant]:
         """Continue after a pause."""
-        self._pause_at = None
-        self.steps_asked, self._pausing = 0, False
+        self._pause.end()
         return self._grants() if self.begun else []
 
     def take_steps(self, count: int) -> list[Grant]:
         """Grant `count` more steps, and then pause."""
-        if not self.leave_known:
-            self.steps_asked += count
-            return []
-        self._pause_at = max(self._leave, self._pause_at or 0) + count
+        self._pause.take_steps(count, self._leave, self.leave_known)
         return self._grants() if self.begun else []
-
-    def _pause_where_asked(self) -> None:
-        """Apply a pause or steps requested before the first step of the run was known."""
-        if self.steps_asked or self._pausing:
-            self._pause_at = self._granted + self.steps_asked
-            self.steps_asked, self._pausing = 0, False
 
     def perturb(
         self, bird: int, member: int, step: int, position: float, speed: float
@@ -285,7 +258,7 @@ class Timekeeper:
         the push. Raises FlockError if the push is not possible.
         """
         configuration = self._configuration
-        if not self._record:
+        if not self._nodes.recorded:
             raise FlockError(
                 "nothing is recorded, so a push would be forgotten: fly with a recorder"
             )
@@ -293,7 +266,7 @@ class Timekeeper:
             raise FlockError("position = 0 and speed = 0 push nobody: give one of them")
         if not self.begun:
             raise FlockError("the flock is not flying yet, or again: ask once more when it is")
-        step = self._step_of_push(step)
+        step = step_of_push(step, self._granted, self.end)
         # The number of the epoch that it begins distinguishes it from pushes of earlier clocks.
         push = Push(self.run_id, step, position, speed, following(self.epoch), bird, member)
         for one in push.each(configuration.members):
@@ -301,27 +274,9 @@ class Timekeeper:
         self._perturbation = push.number
         return step, [push, *self.rewind()]
 
-    def _step_of_push(self, step: int) -> int:
-        """Return the step of a push requested at `step`; 0 requests the soonest possible step.
-
-        Raises FlockError if that step is already granted or is after the end of the flight.
-        """
-        soonest = self._granted + 1
-        if soonest > self.end:
-            raise FlockError(
-                f"too late to push: birds have leave to fly up to step {self._granted}, where the "
-                "flight ends; fly longer, or push earlier"
-            )
-        if step and not soonest <= step <= self.end:
-            raise FlockError(
-                f"step = {step}: must be {soonest}..{self.end}, since birds have leave to fly up "
-                f"to {self._granted} and the flight ends at {self.end}; or 0 for as soon as can be"
-            )
-        return step or soonest
-
     def stop(self) -> list[Message]:
         """End the run at the last granted step; during a rewind, where it would continue."""
-        self._pause_at = None
+        self._pause.at = None
         self._stopping = not self.begun
         if self._stopping:
             return []
@@ -333,38 +288,9 @@ class Timekeeper:
         """Number of steps that the flock has flown since this clock began."""
         return max(0, self.step - (self._first or 0))
 
-    def _count_steps_lost(self) -> None:
-        if self._first is None:
-            self._first = self.step
-        if self._reached_before:
-            self.rewinds.steps += max(0, self._reached_before - self.step)
-            self._reached_before = 0
-
-    def _doubts(self, progress: Progress) -> bool:
-        """Whether this report is the first of its kind. A genuine one repeats every second."""
-        key = progress.who, progress.life, progress.epoch
-        if key in self._doubted:
-            return False
-        if len(self._doubted) > MOST_DOUBTED:
-            self._doubted.clear()
-        self._doubted.add(key)
-        return True
-
-    def _reach(self, who: str, step: int) -> None:
-        before = self._reached[who]
-        self._reached[who] = step
-        if who != RECORDER:
-            self._birds_at[step] += 1
-            self._birds_at[before] -= 1
-            if not self._birds_at[before]:
-                del self._birds_at[before]
-
     def _ignore(self, reason: str) -> list[Message]:
         self.ignored_for[reason] += 1
         return []
-
-    def _birds_reached(self) -> Iterable[tuple[str, int]]:
-        return ((name, step) for name, step in self._reached.items() if name != RECORDER)
 
     def _times(self) -> list[Time]:
         """Return the time of every recorded step that the whole flock has newly reached."""
@@ -375,10 +301,10 @@ class Timekeeper:
 
     def _grants(self) -> list[Grant]:
         limit = min(self.step + self._window, self.end)
-        if self._record:
+        if self._nodes.recorded:
             limit = min(limit, max(self.saved, 0) + self._ahead)
-        if self._pause_at is not None:
-            limit = min(limit, self._pause_at)
+        if self._pause.at is not None:
+            limit = min(limit, self._pause.at)
         if limit <= self._granted:
             return []
         self._granted = limit

@@ -34,7 +34,6 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.scaling import Scales
-from flock_sim.protocol.bird import Channel, Outgoing
 from flock_sim.protocol.bird_kernel import (
     DRAG,
     POSITION,
@@ -45,9 +44,8 @@ from flock_sim.protocol.bird_kernel import (
     feel_and_move,
 )
 from flock_sim.protocol.latest_values import LatestValues
-from flock_sim.protocol.listener import Listener
 from flock_sim.protocol.neighbours import Neighbourhood
-from flock_sim.protocol.session import Session
+from flock_sim.protocol.session import Channel, Listener, Outgoing, Session
 
 REPORT_EVERY = 0.25
 """Time between two reports to the clock, in s."""

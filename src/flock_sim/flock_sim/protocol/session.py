@@ -7,13 +7,17 @@ plausible: a node on the same ROS domain that imitates a bird is accepted.
 
 from __future__ import annotations
 
+from collections import Counter
+from enum import Enum
+
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages.epochs import NEVER, out_of_date, out_of_reach
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, REPEATED, STALE
-from flock_sim.messages.types import Grant, Push
+from flock_sim.messages.types import Grant
 from flock_sim.protocol.free_flight import NO_WAY_BACK
+from flock_sim.protocol.neighbours import Neighbourhood
 
 INCARNATIONS = 2**64
 """Number of values of an incarnation, which has 64 bits in messages."""
@@ -152,13 +156,57 @@ class Session:
         return ""
 
 
-def refuses_push(push: Push, configuration: FlockConfiguration, saved: int) -> str:
-    """Return why a push that was requested in flight can't be flown, or "".
+class Channel(Enum):
+    """Where a message of a bird goes."""
 
-    `saved` is the last step on disk: a recorded step can't be pushed any more.
-    """
-    try:
-        push.check(configuration)
-    except FlockError:
-        return IMPOSSIBLE
-    return "" if push.step > saved else REPEATED
+    WING = "wing"
+    STAGE = "stage"
+    STATE = "state"
+    MEMORY = "memory"
+    AGES = "ages"
+    PROGRESS = "progress"
+
+
+Outgoing = tuple[Channel, bytes]
+
+
+class Listener:
+    """A bird among its neighbours."""
+
+    _around: Neighbourhood
+    _session: Session
+    ignored: int
+    """Number of ignored messages."""
+    ignored_for: Counter[str]
+    """Number of ignored messages, by reason."""
+
+    @property
+    def neighbours(self) -> tuple[int, ...]:
+        """The birds whose messages this bird receives."""
+        return self._around.birds
+
+    def ignore(self, reason: str) -> list[Outgoing]:
+        """Count an ignored message."""
+        self.ignored += 1
+        self.ignored_for[reason] += 1
+        return []
+
+    def receive_grant(self, grant: Grant) -> list[Outgoing]:
+        """Begin the grant's epoch, or continue the present one as far as the grant allows.
+
+        Raises FlockError if the first grant is of another flight, and RunFailed if a new epoch
+        begins while a free flight is in progress.
+        """
+        session = self._session
+        if reason := session.refuses_grant(grant):
+            return self.ignore(reason)
+        first = session.epoch == NEVER
+        return self._join(grant, first) if session.take_grant(grant) else self._extend(grant)
+
+    def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
+        """Begin the grant's epoch; `first`: no epoch was known before."""
+        raise NotImplementedError
+
+    def _extend(self, grant: Grant) -> list[Outgoing]:
+        """Continue the present epoch as far as the grant allows."""
+        raise NotImplementedError
