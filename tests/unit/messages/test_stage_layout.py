@@ -9,14 +9,13 @@ from flock_sim.messages.stage_layout import (
     HEADER_AT,
     HEADER_WORD,
     HEADER_WORDS,
-    has_header,
-    put_header,
     stage_bytes,
     stage_header,
     stage_numbers,
     stage_words,
 )
 from flock_sim.messages.types import Stage
+from flock_sim.protocol.stage_words import has_header, put_header
 
 
 def lying(members: int) -> tuple[np.ndarray, memoryview]:

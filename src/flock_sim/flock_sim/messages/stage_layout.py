@@ -11,9 +11,7 @@ from __future__ import annotations
 import struct
 
 from flock_sim.messages.types import ENCAPSULATION, Stage
-from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.physics.compile import kernel
-from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.arrays import FloatArray
 
 WORD = 8
 SEQUENCES = Stage.KINDS.count("numbers")
@@ -41,30 +39,6 @@ HEADER_WORD = (BEFORE + HEADER_AT) // WORD
 """Offset of the header, in words: run id; step; epoch and bird; stage and members."""
 
 HEADER_WORDS = HEADER.size // WORD
-
-
-@kernel
-def put_header(
-    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
-) -> None:
-    """Write the HEADER_WORDS of the message of a bird at `tick` = STAGES step + stage."""
-    header[0] = run_id
-    header[1] = tick // STAGES
-    header[2] = epoch | bird << 32
-    header[3] = tick % STAGES | members << 32
-
-
-@kernel
-def has_header(
-    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
-) -> bool:
-    """Whether `put_header` would write these words."""
-    return bool(
-        header[0] == run_id
-        and header[1] == tick // STAGES
-        and header[2] == epoch | bird << 32
-        and header[3] == tick % STAGES | members << 32
-    )
 
 
 def stage_words(members: int) -> int:

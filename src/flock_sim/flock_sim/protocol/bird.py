@@ -25,8 +25,8 @@ from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.checkpoints import Checkpoints
 from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.motion import Motion
-from flock_sim.protocol.neighbours import Neighbourhood
-from flock_sim.protocol.session import Channel, Listener, Outgoing, Session
+from flock_sim.protocol.neighbours import Listener, Neighbourhood
+from flock_sim.protocol.session import Channel, Outgoing, Session
 from flock_sim.protocol.stage_inbox import StageInbox
 from flock_sim.protocol.stage_words import END, FOREIGN, TICK
 

@@ -44,8 +44,8 @@ from flock_sim.protocol.bird_kernel import (
     feel_and_move,
 )
 from flock_sim.protocol.latest_values import LatestValues
-from flock_sim.protocol.neighbours import Neighbourhood
-from flock_sim.protocol.session import Channel, Listener, Outgoing, Session
+from flock_sim.protocol.neighbours import Listener, Neighbourhood
+from flock_sim.protocol.session import Channel, Outgoing, Session
 
 REPORT_EVERY = 0.25
 """Time between two reports to the clock, in s."""

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.epochs import NEVER
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, STRANGE
-from flock_sim.messages.types import Wing
+from flock_sim.messages.types import Grant, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.aerodynamics import even_part
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.protocol.session import Outgoing, Session
 
 EARLY = 16
 """Most wings kept per neighbour while the own run is unknown."""
@@ -84,3 +88,45 @@ class Neighbourhood:
                     formation.VORTEX_FRACTION * row[0, m],
                     formation.VORTEX_FRACTION * row[-1, m],
                 )
+
+
+class Listener:
+    """A bird among its neighbours."""
+
+    _around: Neighbourhood
+    _session: Session
+    ignored: int
+    """Number of ignored messages."""
+    ignored_for: Counter[str]
+    """Number of ignored messages, by reason."""
+
+    @property
+    def neighbours(self) -> tuple[int, ...]:
+        """The birds whose messages this bird receives."""
+        return self._around.birds
+
+    def ignore(self, reason: str) -> list[Outgoing]:
+        """Count an ignored message."""
+        self.ignored += 1
+        self.ignored_for[reason] += 1
+        return []
+
+    def receive_grant(self, grant: Grant) -> list[Outgoing]:
+        """Begin the grant's epoch, or continue the present one as far as the grant allows.
+
+        Raises FlockError if the first grant is of another flight, and RunFailed if a new epoch
+        begins while a free flight is in progress.
+        """
+        session = self._session
+        if reason := session.refuses_grant(grant):
+            return self.ignore(reason)
+        first = session.epoch == NEVER
+        return self._join(grant, first) if session.take_grant(grant) else self._extend(grant)
+
+    def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
+        """Begin the grant's epoch; `first`: no epoch was known before."""
+        raise NotImplementedError
+
+    def _extend(self, grant: Grant) -> list[Outgoing]:
+        """Continue the present epoch as far as the grant allows."""
+        raise NotImplementedError

@@ -19,12 +19,11 @@ from flock_sim.messages.stage_layout import (
     HEADER_WORD,
     HEADER_WORDS,
     WORD,
-    has_header,
-    put_header,
 )
 from flock_sim.physics.arrays import IntArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.compiler import numba
+from flock_sim.physics.runge_kutta import STAGES
 
 # The current tick; the tick from which on Python does more than exchange stages; the ticks of this
 # exchange (between two exchanges: of the last one) and of the next one, and the side of this one.
@@ -67,6 +66,30 @@ def pointer(_: Any, address: Any) -> Any:
         return builder.inttoptr(arguments[0], numba.core.cgutils.voidptr_t)
 
     return numba.types.voidptr(address), generate
+
+
+@kernel
+def put_header(
+    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
+) -> None:
+    """Write the HEADER_WORDS of the message of a bird at `tick` = STAGES step + stage."""
+    header[0] = run_id
+    header[1] = tick // STAGES
+    header[2] = epoch | bird << 32
+    header[3] = tick % STAGES | members << 32
+
+
+@kernel
+def has_header(
+    header: IntArray, run_id: int, tick: int, epoch: int, bird: int, members: int
+) -> bool:
+    """Whether `put_header` would write these words."""
+    return bool(
+        header[0] == run_id
+        and header[1] == tick // STAGES
+        and header[2] == epoch | bird << 32
+        and header[3] == tick % STAGES | members << 32
+    )
 
 
 @kernel
