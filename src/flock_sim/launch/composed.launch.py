@@ -22,5 +22,5 @@ def generate_launch_description() -> LaunchDescription:
 def fly(context: LaunchContext) -> list[Node]:
     """Return the nodes of the flight."""
     flight = Flight(context, KNOWN)
-    birds = [flight.birds(share) for share in flight.arguments.shares()]
+    birds = [flight.birds(share) for share in flight.arguments.partition()]
     return [flight.clock(), *flight.recorder(), *birds]
