@@ -40,6 +40,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration  # no
 from flock_sim.launcher.flight import WINDOW  # noqa: E402
 from flock_sim.launcher.precompile import warm_bird, warm_exchange  # noqa: E402
 from flock_sim.messages import topics  # noqa: E402
+from flock_sim.messages.epochs import first_epoch  # noqa: E402
 from flock_sim.protocol.clock import Timekeeper, new_run_id  # noqa: E402
 from flock_sim.ros.process import executing  # noqa: E402
 from flock_sim.ros.watchdog import Watchdog  # noqa: E402
@@ -62,7 +63,7 @@ def main() -> None:
 
 def _fly(configuration: FlockConfiguration, context: object) -> None:
     run_id, over = new_run_id(), testing.Over()
-    first = clock_node.first_epoch()
+    first = first_epoch()
     keeper = Timekeeper(configuration, run_id, WINDOW, False, False, first)
     with executing("events", context) as of_clock, executing("events", context) as of_birds:
         depth = topics.depth(topics.CLOCK_TOPIC, configuration)

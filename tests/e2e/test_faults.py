@@ -22,7 +22,7 @@ from flock_sim.recording.run import Run
 from support.terminal import Job, Terminal
 
 BIRD = "flock_sim.nodes.bird_process"
-RECORDER = "flock_sim.nodes.recorder"
+RECORDER = "flock_sim.nodes.recorder_process"
 
 LONG = ("--birds", 3, "--t-max", 1e8, "--record-every", 10)
 """More than any test waits for."""

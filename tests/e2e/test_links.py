@@ -15,7 +15,7 @@ from support.terminal import Job, Terminal
 from support.visitor import Visitor
 
 BIRD = "flock_sim.nodes.bird_process"
-RECORDER = "flock_sim.nodes.recorder"
+RECORDER = "flock_sim.nodes.recorder_process"
 
 FLOCK = ("--birds", 4, "--record-every", 10, "--span-ratio", "2=0.97,1,1.03")
 ENDLESS = 1e8

@@ -17,7 +17,7 @@ from support.visitor import Visitor
 from torture import torture
 
 BIRD = "flock_sim.nodes.bird_process"
-RECORDER = "flock_sim.nodes.recorder"
+RECORDER = "flock_sim.nodes.recorder_process"
 
 STEPS = 12_000
 ENDLESS = ("--birds", 3, "--t-max", 1e8, "--record-every", 10, "--span-ratio", "2=0.97,1.03")

@@ -20,11 +20,12 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import FOREIGN
-from flock_sim.nodes import recorder as recorder_module
+from flock_sim.nodes import row_topics
 from flock_sim.nodes.announcements import Announcements
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.clock import ClockNode
-from flock_sim.nodes.recorder import LOOK_EVERY, RecorderNode, Source
+from flock_sim.nodes.recorder import RecorderNode
+from flock_sim.nodes.row_topics import LOOK_EVERY, Source
 from flock_sim.protocol.clock import Timekeeper
 from flock_sim.recording.flight_writer import recording
 from flock_sim.ros.endpoints import DrainedNode, latched
@@ -233,14 +234,15 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
         wing = messages.Wing(8, 1, one).encode()
         memory = messages.Memory(8, 0, 1, 1, one).encode()
         states, memories, wings = Stub(state), Stub(memory), Stub(wing)
-        recorder._sources = [
+        heard = recorder._row_topics
+        heard._sources = [
             Source(states, recorder.assembler.add_state, 1),
             Source(memories, recorder.assembler.add_memory, 1),
         ]
-        recorder._wings = [Source(wings, recorder._hear_wing, 1)]
-        recorder._times = Stub(messages.Time.at(0).encode())
+        heard._wings = [Source(wings, recorder._hear_wing, 1)]
+        heard._times = Stub(messages.Time.at(0).encode())
         recorder.drain()
-        assert states.waiting == memories.waiting == recorder._times.waiting == []
+        assert states.waiting == memories.waiting == heard._times.waiting == []
         assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"
 
 
@@ -250,18 +252,19 @@ class Joined:
     def __init__(self, recorder: RecorderNode, monkeypatch: pytest.MonkeyPatch) -> None:
         self.recorder = recorder
         self.now = 100.0
-        monkeypatch.setattr(recorder_module.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(row_topics.time, "monotonic", lambda: self.now)
         recorder._session.run_id, recorder._session.epoch, recorder._joined = 7, 1, True
         recorder.assembler.begin(7, 1)
         one = np.ones(1)
         self.wings = [Stub(messages.Wing(7, bird, one).encode()) for bird in (1, 2, 3)]
         self.states = [Stub() for _ in range(3)]
-        recorder._times = self.times = Stub()
         recorder._grants, recorder._perturbations = Stub(), Stub()
-        recorder._wings = [
+        heard = recorder._row_topics
+        heard._times = self.times = Stub()
+        heard._wings = [
             Source(stub, recorder._hear_wing, bird) for bird, stub in enumerate(self.wings, 1)
         ]
-        recorder._sources = [
+        heard._sources = [
             Source(stub, recorder.assembler.add_state, bird)
             for bird, stub in enumerate(self.states, 1)
         ]

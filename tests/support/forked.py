@@ -6,31 +6,19 @@ from __future__ import annotations
 import importlib
 import sys
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from unittest.mock import patch
 
 from flock_sim.launcher.fork_server import ForkServer
+from flock_sim.nodes import executables
 
 TOOLS = {
-    "fly": "flock_sim.commands.fly",
-    "reference": "flock_sim.commands.reference",
-    "bird": "flock_sim.nodes.bird_process",
-    "clock": "flock_sim.nodes.clock",
-    "recorder": "flock_sim.nodes.recorder",
-    "metrics": "flock_tools.commands.metrics",
-    "compare": "flock_tools.commands.compare",
-    "picture": "flock_tools.commands.picture",
-    "report": "flock_tools.commands.report",
-    "figures": "flock_tools.commands.figures",
-    "play": "flock_tools.commands.play",
-    "watch": "flock_tools.commands.watch",
-    "view": "flock_tools.commands.view",
-    "repair": "flock_tools.commands.repair",
-    "equilibrium": "flock_tools.commands.equilibrium",
-    "limits": "flock_tools.commands.limits",
-    "survey": "flock_tools.commands.survey",
-    "study": "flock_tools.commands.study",
-    "sweep": "flock_tools.commands.sweep",
+    script.name: executables.module_of(script.name)
+    if script.module == executables.__name__
+    else script.module
+    for script in entry_points(group="console_scripts")
+    if script.module.startswith(("flock_sim.", "flock_tools."))
 }
 """Every tool, and its module."""
 

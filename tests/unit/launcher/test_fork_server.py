@@ -260,7 +260,9 @@ def test_what_a_flight_preloads_neither_starts_threads_nor_initialises_ros() -> 
         "check_forkable()\n"
         "import rclpy\n"
         "assert not rclpy.ok() and threading.active_count() == 1\n"
-        "assert 'flock_sim.nodes.bird_process' in sys.modules\n"
+        "from flock_sim.nodes.executables import module_of\n"
+        "for node in ('bird', 'clock', 'recorder'):\n"
+        "    assert callable(sys.modules[module_of(node)].main)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -291,11 +293,11 @@ def client(
     package.write_text(
         "import sys, types\n"
         "def preload():\n"
-        "    node = types.ModuleType('flock_sim.nodes.node')\n"
+        "    node = types.ModuleType('flock_sim.nodes.node_process')\n"
         "    def main():\n"
         "        exec(sys.argv[1], {})\n"
         "    node.main = main\n"
-        "    sys.modules['flock_sim.nodes.node'] = node\n"
+        "    sys.modules['flock_sim.nodes.node_process'] = node\n"
     )
     server = ForkServer.spawn("flock_sim_nodes:preload", listen=True)
 

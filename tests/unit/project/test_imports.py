@@ -6,18 +6,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
+from support.forked import TOOLS
+
 HEAVY = ("rclpy", "numba", "numpy", "scipy", "matplotlib", "xarray", "pandas", "distributed")
 
-TOOLS = {
-    script.name: script.module
-    for script in entry_points(group="console_scripts")
-    if script.module.startswith(("flock_sim.", "flock_tools.")) and ".nodes." not in script.module
-}
+WITHOUT_ROS = [module for module in TOOLS.values() if ".nodes." not in module]
 
 RUN = """
 import contextlib, io, json, sys
@@ -76,8 +73,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_help_needs_none_of_them() -> None:
     assert {"fly", "metrics", "limits", "sweep", "watch"} <= TOOLS.keys()
-    found = imports(*((module, "--help") for module in TOOLS.values()))
-    assert found == {module: [] for module in TOOLS.values()}
+    found = imports(*((module, "--help") for module in WITHOUT_ROS))
+    assert found == {module: [] for module in WITHOUT_ROS}
 
 
 def test_what_is_said_of_recorded_flights_needs_no_compiler_and_no_ros(run: Path) -> None:
@@ -97,7 +94,8 @@ def test_steady_states_of_nearest_neighbours_need_numba_alone(tool: str) -> None
 
 def test_clock_and_recorder_need_no_compiler() -> None:
     pytest.importorskip("rclpy")
-    script = "import sys, flock_sim.nodes.clock, flock_sim.nodes.recorder; print(*sys.modules)"
+    nodes = ", ".join(TOOLS[node] for node in ("clock", "recorder"))
+    script = f"import sys, {nodes}; print(*sys.modules)"
     modules = set(python(script).split())
     assert modules & {*HEAVY, "rich"} == {"rclpy", "numpy"}
 

@@ -16,6 +16,7 @@ from flock_sim.console.signals import Endings
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.launcher.partition import partition
 from flock_sim.launcher.supervisor import Supervisor
+from flock_sim.nodes.executables import module_of
 from flock_sim.ros.discovery import own_domain, prepare_discovery
 
 if TYPE_CHECKING:
@@ -117,10 +118,10 @@ def fly(plan: Plan) -> dict[str, Any]:
                 "resume": True,
                 "record_stages": plan.record_stages,
             }
-            supervisor.start("the recorder", "flock_sim.nodes.recorder", recorder, to_the_end=True)
+            supervisor.start("the recorder", module_of("recorder"), recorder, to_the_end=True)
         for birds in partition(configuration.birds, plan.processes):
             own = {**common, **plan.operation(map(topics.bird_name, birds)), "indices": birds}
-            supervisor.start(_name_of(birds), "flock_sim.nodes.bird_process", own)
+            supervisor.start(_name_of(birds), module_of("bird"), own)
         return _keep_time(plan, run_id, supervisor)
 
 
@@ -129,7 +130,8 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
     import rclpy
 
     from flock_sim.messages import topics
-    from flock_sim.nodes.clock import OWN, ClockNode, keep_time
+    from flock_sim.nodes.clock import ClockNode, keep_time
+    from flock_sim.nodes.clock_process import OWN
     from flock_sim.protocol.clock import Timekeeper
     from flock_sim.ros.parameters import declare
     from flock_sim.ros.process import executing, ros_context

@@ -18,6 +18,7 @@ from contextlib import suppress
 from flock_sim.console.signals import ENDING
 from flock_sim.launcher.fork_server import ForkServer, Program
 from flock_sim.launcher.forkable import CannotFork
+from flock_sim.nodes.executables import module_of
 
 
 def main() -> None:
@@ -26,7 +27,7 @@ def main() -> None:
     name = os.path.basename(executable)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until the node exists
     try:
-        program = Program(f"flock_sim.nodes.{name}", arguments, "launched")
+        program = Program(module_of(name), arguments, "launched")
         child = ForkServer.connect(address).start(program, {0: 0, 1: 1, 2: 2})
     except CannotFork:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)

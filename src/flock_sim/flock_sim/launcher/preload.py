@@ -23,8 +23,8 @@ def preload(links: bool = True) -> None:
 
     import flock_interfaces.msg
     import flock_sim.nodes.bird_process
-    import flock_sim.nodes.clock
-    import flock_sim.nodes.recorder  # noqa: F401
+    import flock_sim.nodes.clock_process
+    import flock_sim.nodes.recorder_process  # noqa: F401
     from flock_sim.launcher import precompile
 
     precompile.warm_bird()

@@ -14,19 +14,24 @@ from flock_sim.console.arguments import run_tool
 from flock_sim.ros.discovery import MIDDLEWARE, check_middleware
 
 
+def module_of(node: str) -> str:
+    """Return the module whose `main` runs the process of a node: `bird`, `clock` or `recorder`."""
+    return f"flock_sim.nodes.{node}_process"
+
+
 def _run(node: str) -> int:
     def tool(arguments: Sequence[str]) -> int:
         if {"-h", "--help"} & set(arguments):
             os.environ.pop(MIDDLEWARE, None)  # help does not need it
         check_middleware()
-        return int(import_module(f"flock_sim.nodes.{node}").main())
+        return int(import_module(module_of(node)).main())
 
     return run_tool(tool)
 
 
 def bird() -> int:
     """Run the `bird` executable."""
-    return _run("bird_process")
+    return _run("bird")
 
 
 def clock() -> int:

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of the clock of a flight that is started by hand or by `ros2 launch`."""
+
+from __future__ import annotations
+
+import sys
+
+from flock_sim.messages import topics
+from flock_sim.messages.epochs import first_epoch
+from flock_sim.messages.handshake import run_id_of
+from flock_sim.nodes.clock import ClockNode, keep_time
+from flock_sim.protocol.clock import Timekeeper
+from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.process import Process, executing, run_node
+
+OWN = ("window", "record", "record_stages", *OF_ALL)
+"""Operating parameters of a clock."""
+
+
+def work(process: Process) -> None:
+    """Run the clock of one run."""
+    operation = process.operation
+    keeper = Timekeeper(
+        process.configuration,
+        operation["run_id"] or run_id_of(process.configuration),
+        operation["window"],
+        operation["record"],
+        operation["record_stages"],
+        first_epoch(),
+        factor=operation["real_time_factor"],
+    )
+    with executing(operation["executor"], process.context) as executor:
+        depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
+        clock = ClockNode(keeper, depth, context=process.context)
+        declare(clock, process.configuration, operation, OWN)
+        executor.add_node(clock)
+        process.settle()
+        keep_time(clock, executor, process.watchdog(), lambda: process.stop)
+        clock.release()
+        clock.farewell(process.stop)
+
+
+_main = run_node(
+    "clock",
+    "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are there,\n"
+    "grants steps, tells the simulated time, and ends with the flight. If it dies and is started\n"
+    "again with the same parameters, the flight goes on.\n\n"
+    "parameters: window (64; 1 is lockstep), record (true: wait for a recorder), record_stages,\n"
+    "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"
+    "configuration file.\n\n"
+    "services: ~/pause, ~/resume, ~/stop (std_srvs/Trigger), ~/step and ~/perturb\n"
+    "(flock_interfaces/Step and Perturb).",
+    "  ./flock clock --ros-args --params-file flock.yaml\n"
+    "  ./flock clock --timeout 20 --ros-args -p birds:=3 -p record:=false\n"
+    "  ros2 service call /flock/clock/pause std_srvs/srv/Trigger",
+    work,
+)
+
+
+def main() -> int:
+    """Run the `clock` executable."""
+    return _main(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of the recorder: it owns the output, creates the node and records a flight."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+from flock_sim.bag.writing.partial_bag import recorded_in
+from flock_sim.console.arguments import note
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.messages import topics
+from flock_sim.nodes.played_recorder import check_played, record_played
+from flock_sim.nodes.recorder import RecorderNode, record
+from flock_sim.protocol.free_flight import GONE, check_free
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.output_directory import own_bag, own_output
+from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.process import Process, executing, run_node
+
+
+def work(process: Process) -> None:
+    """Record one flight."""
+    configuration, operation = process.configuration, process.operation
+    stages, factor = operation["record_stages"], operation["real_time_factor"]
+    if factor:
+        check_free(configuration, factor, operation["timeout"], stages)
+    topics.steps_ahead(configuration, stages)  # refuses what can't be recorded
+    if not operation["output"]:
+        raise FlockError("output is not given: name a directory, as in -p output:=runs/mine")
+    output = Path(operation["output"])
+    if operation["played"]:
+        check_played(operation)
+    with ExitStack() as owned:
+        resume, replace = _own(process, output, owned)
+        if operation["played"]:
+            record_played(process, output, replace)
+            return
+        run = owned.enter_context(
+            recording(
+                output,
+                configuration,
+                grants=True,
+                stages=stages,
+                resume=resume,
+                replace=replace,
+                factor=factor,
+            )
+        )
+        executor = owned.enter_context(executing(operation["executor"], process.context))
+        if run.bag.aside is not None:
+            kept = run.bag.aside.name
+            note(f"{run.bag.path} is damaged or lacks steps, and is kept as {kept}")
+        if factor and run.saved >= 0:
+            raise FlockError(f"output {output}: {GONE}; name another output, or give force:=true")
+        services = not process.supervised
+        node = RecorderNode(
+            configuration,
+            run,
+            operation["run_id"],
+            stages,
+            factor=factor,
+            context=process.context,
+            services=services,
+        )
+        if services:
+            own = ("output", "force", "resume", "record_stages", *OF_ALL)
+            declare(node, configuration, operation, own)
+        executor.add_node(node)
+        process.settle()
+        record(node, executor, process.stop, process.watchdog())
+
+
+def _own(process: Process, output: Path, owned: ExitStack) -> tuple[bool, bool]:
+    """Own the output; return whether to continue the existing bag, and whether to replace it.
+
+    Under `fly`, the process of `fly` owns the output and has begun the bag. Raises FlockError if
+    the output can't be used, and RunFailed if the bag that `fly` has begun is gone.
+    """
+    operation = process.operation
+    if process.supervised and operation["resume"]:
+        if not output.is_dir() or recorded_in(output) is None:
+            raise RunFailed(f"recording to {output} failed: it was removed or moved")
+        return True, False
+    if operation["resume"] and output.is_dir():
+        owned.enter_context(own_bag(output))
+        return True, False
+    if output.exists() and not operation["force"]:
+        raise FlockError(
+            f"output {output} exists: go on with it by -p resume:=true, replace it by "
+            "-p force:=true, or name another output"
+        )
+    return False, owned.enter_context(own_output(output, operation["force"])).replaces
+
+
+_main = run_node(
+    "recorder",
+    "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
+    "with it.\n\n"
+    "parameters: output (a directory), force (replace what is there) or resume (go on with the\n"
+    "bag that is there, or begin one), played (record what ./flock play publishes, in a bag as\n"
+    "reference writes it; give it the configuration that was flown), record_stages, run_id,\n"
+    "timeout (s without news), executor (events|single), and all keys of the configuration file.",
+    "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml\n"
+    "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml\n"
+    "  ./flock recorder --ros-args -p output:=runs/again -p played:=true --params-file flock.yaml",
+    work,
+)
+
+
+def main() -> int:
+    """Run the `recorder` executable."""
+    return _main(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
