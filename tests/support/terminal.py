@@ -22,7 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flock_sim.launcher.fork_server import Child, Program
+from flock_sim.launcher.fork_server import Child
+from flock_sim.launcher.forked_program import Program
 from flock_sim.ros.discovery import FIRST_PORT, LAST_DOMAIN, PORTS, quiet_domains
 from flock_sim.ros.settings_check import shared_memory, udp_sockets
 from support.forked import TOOLS, fork_server

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from flock_sim.console.signals import SUPERVISED
-from flock_sim.launcher.fork_server import Child, ForkServer, Program
+from flock_sim.launcher.fork_server import Child, ForkServer
 from flock_sim.launcher.forkable import CannotFork, check_forkable
+from flock_sim.launcher.forked_program import Program
 from support.terminal import lives, parent
 
 Start = Callable[..., Child]
@@ -214,7 +215,8 @@ def test_a_server_ends_with_its_client(tmp_path: Path) -> None:
 def test_what_a_process_does_at_its_end_its_copies_do_not(tmp_path: Path) -> None:
     code = (
         "import atexit, os, sys, tempfile\n"
-        "from flock_sim.launcher.fork_server import ForkServer, Program\n"
+        "from flock_sim.launcher.fork_server import ForkServer\n"
+        "from flock_sim.launcher.forked_program import Program\n"
         "atexit.register(print, 'once')\n"
         "with tempfile.TemporaryDirectory(dir=sys.argv[1]) as directory:\n"
         "    server = ForkServer.fork()\n"

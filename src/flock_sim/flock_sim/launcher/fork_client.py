@@ -16,8 +16,9 @@ import sys
 from contextlib import suppress
 
 from flock_sim.console.signals import ENDING
-from flock_sim.launcher.fork_server import ForkServer, Program
+from flock_sim.launcher.fork_server import ForkServer
 from flock_sim.launcher.forkable import CannotFork
+from flock_sim.launcher.forked_program import Program
 from flock_sim.nodes.executables import module_of
 
 

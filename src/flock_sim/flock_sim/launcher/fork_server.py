@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that forks others from itself, so that they start with all imports done.
+"""The client's side of a fork server, which forks processes that have all imports done.
 
 A node process spends most of its start on importing rclpy and numba and on loading kernels. The
 fork server does this once. It is a copy of the process that requests it (`ForkServer.fork`) or, if
@@ -13,50 +13,27 @@ address, other processes of the same user can connect to it too (`ForkServer.con
 
 from __future__ import annotations
 
-import atexit
-import fcntl
-import importlib
 import json
 import os
 import secrets
 import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
-import traceback
-import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
-from typing import Any, NoReturn
+from dataclasses import asdict
+from typing import Any
 
-from flock_sim.console.signals import ENDING, SUPERVISED, end_process, end_with_parent
+from flock_sim.launcher import fork_server_process
+from flock_sim.launcher.fork_server_process import MOST_BYTES
 from flock_sim.launcher.forkable import CannotFork, check_forkable, check_system
+from flock_sim.launcher.forked_program import Program
 
 TIMEOUT = 60.0
 """Longest wait for a fork server to preload and to answer, in s."""
-
-MOST_BYTES = 1 << 20
-SPARE = 512
-"""File descriptors below this number are free in a child before it gets its own."""
-
-
-@dataclass(frozen=True)
-class Program:
-    """What a forked process runs: the function `main` of a module, as `python -m` would."""
-
-    module: str
-    arguments: Sequence[str]
-    name: str
-    """Name such as "bird-3": `ps` shows it after the module, and ROS uses it for log files."""
-    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    directory: str = field(default_factory=os.getcwd)
-    supervised: bool = False
-    """Whether it leaves Ctrl-C to its parent; SUPERVISED tells it so."""
-    new_session: bool = False
 
 
 class Child:
@@ -108,7 +85,7 @@ class Child:
 
 
 class ForkServer:
-    """The client's side of a fork server."""
+    """A fork server, as its client uses it. The server itself is `fork_server_process`."""
 
     def __init__(
         self,
@@ -138,8 +115,7 @@ class ForkServer:
         pid = os.fork()
         if pid == 0:
             try:
-                _forget_ends()
-                _Server(_keep_only(theirs)).serve()
+                fork_server_process.serve_after_fork(theirs)
             finally:
                 os._exit(0)
         theirs.close()
@@ -167,7 +143,14 @@ class ForkServer:
                 listener.listen()
             sockets = [theirs.fileno(), *([listener.fileno()] if listen else [])]
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, preload, *map(str, sockets)],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    fork_server_process.__name__,
+                    preload,
+                    *map(str, sockets),
+                ],
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
                 pass_fds=sockets,
@@ -260,206 +243,3 @@ class ForkServer:
         if not self._answers:
             raise CannotFork("the fork server has ended")
         return self._answers.pop()
-
-
-def _forget_ends() -> None:
-    """Remove the original's exit handlers from this copy, such as those for temporary files."""
-    atexit._clear()
-    weakref.finalize._registry.clear()  # type: ignore[attr-defined]
-    weakref.finalize._registered_with_atexit = False  # type: ignore[attr-defined]
-
-
-def _keep_only(connection: socket.socket) -> socket.socket:
-    """Close all files but the standard ones and `connection`; return that, at a low number.
-
-    Otherwise the copy would keep locks and the claim of a domain open.
-    """
-    high = fcntl.fcntl(connection.fileno(), fcntl.F_DUPFD_CLOEXEC, SPARE)
-    os.closerange(3, SPARE)
-    os.dup2(high, 3, inheritable=False)
-    os.closerange(SPARE, high + 1)
-    return socket.socket(fileno=3)
-
-
-class _Server:
-    """The server's side: it forks programs on request and reports their exit statuses."""
-
-    def __init__(self, owner: socket.socket, listener: socket.socket | None = None) -> None:
-        """Serve `owner`, and the clients that connect to `listener`, until `owner` is gone."""
-        self._owner = owner
-        self._listener = listener
-        self._connections = {owner.fileno(): owner}
-        self._children: dict[int, tuple[int, socket.socket]] = {}  # by handle
-        self._poll = select.poll()
-        for one in filter(None, (owner, listener)):
-            self._poll.register(one, select.POLLIN)
-
-    def serve(self) -> None:
-        """Serve until the owner is gone."""
-        for number in ENDING:
-            signal.signal(number, signal.SIG_IGN)  # the owner ends this process
-        _show(__name__)
-        while self._owner.fileno() >= 0:
-            for descriptor, _ in self._poll.poll():
-                if descriptor in self._children:
-                    self._bury(descriptor)
-                elif descriptor in self._connections:
-                    self._answer(self._connections[descriptor])
-                elif self._listener is not None:
-                    self._admit(self._listener)
-
-    def _bury(self, handle: int) -> None:
-        """Report the exit status of a child that has ended."""
-        self._poll.unregister(handle)
-        os.close(handle)
-        pid, connection = self._children.pop(handle)
-        _, status = os.waitpid(pid, 0)
-        _tell(connection, {"ended": pid, "status": os.waitstatus_to_exitcode(status)})
-
-    def _admit(self, listener: socket.socket) -> None:
-        """Accept a connection if its process has the same user as this server."""
-        connection, _ = listener.accept()
-        told = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
-        _, user, _ = struct.unpack("3i", told)
-        if user != os.getuid():
-            connection.close()
-            return
-        self._connections[connection.fileno()] = connection
-        self._poll.register(connection, select.POLLIN)
-
-    def _answer(self, connection: socket.socket) -> None:
-        """Fork the requested program."""
-        try:
-            data, received, _, _ = socket.recv_fds(connection, MOST_BYTES, 253)
-        except OSError:
-            data, received = b"", []
-        if not data:
-            self._dismiss(connection)
-            return
-        server = os.getpid()
-        try:
-            pid = os.fork()
-        except OSError as error:
-            pid = -1
-            _tell(connection, {"error": f"no process can be forked: {error.strerror}"})
-        if pid == 0:
-            _run(json.loads(data), received, server)
-        for file in received:
-            os.close(file)
-        if pid < 0:
-            return
-        handle = os.pidfd_open(pid)
-        self._children[handle] = pid, connection
-        self._poll.register(handle, select.POLLIN)
-        _tell(connection, {"pid": pid})
-
-    def _dismiss(self, connection: socket.socket) -> None:
-        """Drop a client that is gone, and kill its children."""
-        for handle, (_, client) in self._children.items():
-            if client is connection and client is not self._owner:
-                signal.pidfd_send_signal(handle, signal.SIGKILL)
-        self._poll.unregister(connection)
-        del self._connections[connection.fileno()]
-        connection.close()
-
-
-def _tell(connection: socket.socket, what: dict[str, object]) -> None:
-    with suppress(OSError):  # the client is gone: the next poll of the connection detects it
-        connection.send(json.dumps(what).encode())
-
-
-def _run(request: dict[str, Any], received: list[int], server: int) -> NoReturn:
-    """Run the requested program in this new child of process `server`."""
-    status = 1
-    try:
-        numbers = request.pop("numbers")
-        program = Program(**request)
-        _take_files(numbers, received)
-        _take_signals(program.supervised)
-        end_with_parent()
-        if os.getppid() != server:
-            os.kill(os.getpid(), signal.SIGTERM)  # it ended before it could be heard
-        if program.new_session:
-            os.setsid()
-        os.environ.clear()
-        os.environ.update(program.environment)
-        if program.supervised:
-            os.environ[SUPERVISED] = str(os.getppid())
-        os.chdir(program.directory)
-        sys.argv = [program.module, *program.arguments]
-        _show(f"{program.module}:{program.name}")
-        status = _status(importlib.import_module(program.module).main)
-        end_process(status)
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        os._exit(status)
-
-
-def _status(main: Callable[[], object]) -> int:
-    """Return the exit status of a program that consists of a call of `main`."""
-    try:
-        result = main()
-    except SystemExit as error:
-        result = error.code
-    if result is None or isinstance(result, int):
-        return (result or 0) & 0xFF
-    print(result, file=sys.stderr)
-    return 1
-
-
-def _take_files(numbers: Sequence[int], received: Sequence[int]) -> None:
-    """Keep only the files `received`, with `numbers`, and renew the standard streams."""
-    high = [fcntl.fcntl(file, fcntl.F_DUPFD_CLOEXEC, SPARE) for file in received]
-    os.closerange(3, SPARE)
-    for number, file in zip(numbers, high, strict=True):
-        os.dup2(file, number)
-        os.close(file)
-    _renew_streams(sys.stdout.encoding)
-
-
-def _renew_streams(encoding: str) -> None:
-    """Open the standard streams of Python anew, as for a new process."""
-    sys.stdin = open(0, encoding=encoding, closefd=False)  # noqa: SIM115
-    sys.stdout = open(1, "w", encoding=encoding, closefd=False)  # noqa: SIM115
-    sys.stderr = open(2, "w", 1, encoding, "backslashreplace", closefd=False)  # noqa: SIM115
-    sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr  # type: ignore[misc]
-
-
-def _take_signals(supervised: bool) -> None:
-    """Set the signal handlers of a new program; if supervised, it leaves Ctrl-C to its parent."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.SIG_IGN if supervised else signal.default_int_handler)
-    signal.pthread_sigmask(signal.SIG_SETMASK, [])
-
-
-def _show(title: str) -> None:
-    """Set the title that `ps` shows, if the library for it is installed."""
-    try:
-        from setproctitle import setproctitle
-    except ImportError:
-        return
-    setproctitle(title)
-
-
-def main() -> None:
-    """Run a server that `spawn` has started."""
-    preload, *numbers = sys.argv[1:]
-    owner, *listener = (socket.socket(fileno=int(number)) for number in numbers)
-    for one in (owner, *listener):
-        one.set_inheritable(False)
-    module, _, function = preload.partition(":")
-    getattr(importlib.import_module(module), function)()
-    try:
-        check_forkable()
-    except CannotFork as error:
-        while owner.recv(MOST_BYTES):
-            _tell(owner, {"error": str(error)})
-    else:
-        _Server(owner, *listener).serve()
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    main()

@@ -15,8 +15,9 @@ from types import TracebackType
 from flock_sim.console.arguments import note
 from flock_sim.console.signals import SUPERVISED, ending_deferred
 from flock_sim.errors import RunFailed
-from flock_sim.launcher.fork_server import Child, ForkServer, Program
+from flock_sim.launcher.fork_server import Child, ForkServer
 from flock_sim.launcher.forkable import CannotFork
+from flock_sim.launcher.forked_program import Program
 
 GRACE = 3.0
 """Time for a process to end in order before it is killed, in s."""
