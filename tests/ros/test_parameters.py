@@ -16,8 +16,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
-from flock_sim.configuration.operation import OPERATION, OPERATION_MEANING
+from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
+from flock_sim.configuration.operation import DEFAULTS, OPERATION
 from flock_sim.ros.endpoints import latched
 from flock_sim.ros.parameters import declare, descriptor
 from flock_sim.ros.process import ros_context
@@ -78,20 +78,18 @@ def asker(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]
 
 
 def test_all_that_a_node_can_be_given_has_a_meaning() -> None:
-    assert OPERATION_MEANING.keys() == OPERATION.keys() - {"indices"}
-    for name, value in (FlockConfiguration().parameters() | OPERATION).items():
-        if name != "indices":
-            assert descriptor(name, value).description
+    for name in (*FlockConfiguration().parameters(), *OPERATION):
+        assert descriptor(name).description
 
 
 def test_every_default_is_within_its_range(context: Context) -> None:
     node = Node("any", context=context, start_parameter_services=False, enable_rosout=False)
-    operation = {**OPERATION, "index": 1}
-    declare(node, FlockConfiguration(), operation, tuple(OPERATION_MEANING))
+    own = OPERATION.keys() - {"indices"}
+    declare(node, FlockConfiguration(), {**DEFAULTS, "index": 1}, sorted(own))
     told = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
     assert told["birds"] == 13
     assert told["span_ratios"] == told["perturbations"] == [""]
-    assert told.keys() >= MEANING.keys() | OPERATION_MEANING.keys()
+    assert told.keys() >= KEYS.keys() | own
     node.destroy_node()
 
 
@@ -99,13 +97,16 @@ def test_a_waiting_clock_tells_what_it_was_given(terminal: Terminal, asker: Node
     job = terminal.start("clock", "--ros-args", "-p", "birds:=5", "-p", "t_max:=100")
     job.until_connected()
     listed = ask(asker, ListParameters, "/flock/clock/list_parameters", ListParameters.Request())
-    assert set(listed.result.names) >= MEANING.keys() | {"window", "record", "timeout"}
+    assert set(listed.result.names) >= KEYS.keys() | {"window", "record", "timeout"}
     asked = DescribeParameters.Request(names=["birds", "dt", "coupling"])
     birds, dt, coupling = ask(
         asker, DescribeParameters, "/flock/clock/describe_parameters", asked
     ).descriptors
     assert isinstance(birds, ParameterDescriptor)
-    assert (birds.type, birds.description) == (ParameterType.PARAMETER_INTEGER, MEANING["birds"])
+    assert (birds.type, birds.description) == (
+        ParameterType.PARAMETER_INTEGER,
+        KEYS["birds"].meaning,
+    )
     assert birds.integer_range[0].from_value == 1
     assert (dt.floating_point_range[0].from_value, dt.additional_constraints) == (
         0.0,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
+from flock_sim.configuration.flock_configuration import KEYS, MEANING, FlockConfiguration
 from flock_sim.errors import FlockError
 
 
@@ -165,11 +165,11 @@ def test_an_unknown_key_is_answered_with_the_nearest_known_one(key, near):
 def test_a_key_like_no_other_is_answered_with_all_that_are_known():
     message = refusal(zzzzzz=1)
     assert "did you mean" not in message
-    assert all(key in message for key in MEANING)
+    assert all(key in message for key in KEYS)
 
 
 def test_every_key_has_a_meaning_to_show():
-    assert list(MEANING) == list(FlockConfiguration().parameters())
+    assert list(KEYS) == list(MEANING) == list(FlockConfiguration().parameters())
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from flock_sim.commands.flight_report import add_output_options, claim_output, report
 from flock_sim.configuration.choices import EXECUTORS, MODES
+from flock_sim.configuration.operation import OPERATION
 from flock_sim.configuration.options import (
     add_flock_options,
     flock_configuration,
@@ -26,7 +27,6 @@ from flock_sim.console.arguments import (
     note,
     positive_number,
     run_tool,
-    whole_number,
 )
 from flock_sim.console.signals import end_process
 from flock_sim.errors import FlockError, nearest
@@ -145,7 +145,9 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
     if executor not in EXECUTORS:
         raise FlockError(f"--executor {executor}: {nearest(executor, EXECUTORS)}")
     output, stages = _recorded(options, resumed, told)
-    timeout = positive_number("--timeout", _said(options.timeout, clock.get("timeout", TIMEOUT)))
+    timeout = OPERATION["timeout"].checked(
+        "--timeout", _said(options.timeout, clock.get("timeout", TIMEOUT))
+    )
     factor = _factor(options, clock.get("real_time_factor", 0.0))
     if factor:
         check_free(configuration, factor, timeout, stages)
@@ -159,7 +161,7 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
         processes,
         timeout,
         time.monotonic(),
-        whole_number("--window", _said(options.window, clock.get("window", WINDOW)), 1),
+        OPERATION["window"].checked("--window", _said(options.window, clock.get("window", WINDOW))),
         executor,
         stages,
         not options.no_respawn and not factor,

@@ -17,6 +17,7 @@ import numpy as np
 
 from flock_sim.configuration import perturbation
 from flock_sim.configuration.choices import COUPLINGS
+from flock_sim.configuration.parameter import Parameter
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError, nearest
 from flock_sim.links import keys
@@ -56,6 +57,12 @@ MEANING = {
     "span_ratios": "birds that differ, each as I=LAMBDA or I=LAMBDA,LAMBDA,... (one a member)",
     "perturbations": f"pushes, each as {perturbation.FORM}, in b and U_min",
     "links": f"how birds know their neighbours, each as {keys.FORM}",
+}
+
+LIMITS: dict[str, dict[str, Any]] = {
+    "birds": {"most": MOST_BIRDS},
+    "coupling": {"choices": COUPLINGS},
+    "record_every": {"most": 2**53},
 }
 
 EXAMPLES = {
@@ -110,8 +117,8 @@ class FlockConfiguration:
 
     def __post_init__(self) -> None:
         """Refuse a configuration that cannot be flown."""
-        for name, most in (("birds", MOST_BIRDS), ("record_every", 2**53)):
-            value = getattr(self, name)
+        for name in ("birds", "record_every"):
+            value, most = getattr(self, name), LIMITS[name]["most"]
             if value < 1:
                 raise FlockError(f"{name} = {_told(value)}: must be 1 or more")
             if value > most:
@@ -219,6 +226,13 @@ class FlockConfiguration:
         """Return every key of the configuration file with its value."""
         lists = {key: list(getattr(self, key)) for key in EXAMPLES}
         return {**asdict(self), **lists}
+
+
+KEYS = {
+    field.name: Parameter(field.default, MEANING[field.name], **LIMITS.get(field.name, {}))
+    for field in fields(FlockConfiguration)
+}
+"""The keys of the configuration file."""
 
 
 def _whole_steps(t_max: float, dt: float) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flock_sim.configuration.choices import EXECUTORS
+from flock_sim.configuration.operation import OPERATION, declared_by
 from flock_sim.console.arguments import LONGEST, note
 from flock_sim.console.progress import progress_bar
 from flock_sim.console.signals import Endings
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 NODE_MARGIN = 30.0
 """Extra timeout of the other nodes over that of the clock, in s: the clock ends the flight."""
 
-WINDOW = 64
+WINDOW: int = OPERATION["window"].default
 """Steps that birds are granted ahead."""
 
 JOIN_LIMIT = 60.0
@@ -131,7 +132,6 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
 
     from flock_sim.messages import topics
     from flock_sim.nodes.clock import ClockNode, keep_time
-    from flock_sim.nodes.clock_process import OWN
     from flock_sim.protocol.clock import Timekeeper
     from flock_sim.ros.parameters import declare
     from flock_sim.ros.process import executing, ros_context
@@ -166,7 +166,7 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
             depth = topics.depth(topics.CLOCK_TOPIC, configuration)
             clock = ClockNode(keeper, depth, context=context)
             operation = {**vars(plan), "run_id": run_id, "record": plan.output is not None}
-            declare(clock, configuration, operation, OWN)
+            declare(clock, configuration, operation, declared_by("clock"))
             executor.add_node(clock)
             check_settings(context.get_domain_id())
             with endings.deferred():

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from flock_sim.configuration.flock_configuration import MEANING, FlockConfiguration
-from flock_sim.configuration.operation import OPERATION_MEANING
+from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
+from flock_sim.configuration.operation import OPERATION
 from flock_sim.errors import FlockError
 from flock_sim.launcher.partition import MOST_PROCESSES, partition, process_count
 from flock_sim.messages.topics import RECORDER
@@ -81,7 +81,7 @@ def refuse_others(words: Sequence[str], known: Sequence[str]) -> None:
     `launch` accepts any name without a warning. A name that resembles none of ours may belong to
     another launch file that includes this one.
     """
-    parameters = {**MEANING, **OPERATION_MEANING}
+    parameters = {*KEYS, *OPERATION} - {"indices"}
     for name in (word.partition(":=")[0] for word in words):
         if name in known:
             continue

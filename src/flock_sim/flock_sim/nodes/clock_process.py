@@ -5,16 +5,14 @@ from __future__ import annotations
 
 import sys
 
+from flock_sim.configuration.operation import declared_by
 from flock_sim.messages import topics
 from flock_sim.messages.epochs import first_epoch
 from flock_sim.messages.handshake import run_id_of
 from flock_sim.nodes.clock import ClockNode, keep_time
 from flock_sim.protocol.clock import Timekeeper
-from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.parameters import declare
 from flock_sim.ros.process import Process, executing, run_node
-
-OWN = ("window", "record", "record_stages", *OF_ALL)
-"""Operating parameters of a clock."""
 
 
 def work(process: Process) -> None:
@@ -32,7 +30,7 @@ def work(process: Process) -> None:
     with executing(operation["executor"], process.context) as executor:
         depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
         clock = ClockNode(keeper, depth, context=process.context)
-        declare(clock, process.configuration, operation, OWN)
+        declare(clock, process.configuration, operation, declared_by("clock"))
         executor.add_node(clock)
         process.settle()
         keep_time(clock, executor, process.watchdog(), lambda: process.stop)

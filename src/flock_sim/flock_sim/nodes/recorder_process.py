@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from flock_sim.bag.writing.partial_bag import recorded_in
+from flock_sim.configuration.operation import declared_by
 from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
@@ -16,7 +17,7 @@ from flock_sim.nodes.recorder import RecorderNode, record
 from flock_sim.protocol.free_flight import GONE, check_free
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.output_directory import own_bag, own_output
-from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.parameters import declare
 from flock_sim.ros.process import Process, executing, run_node
 
 
@@ -65,8 +66,7 @@ def work(process: Process) -> None:
             services=services,
         )
         if services:
-            own = ("output", "force", "resume", "record_stages", *OF_ALL)
-            declare(node, configuration, operation, own)
+            declare(node, configuration, operation, declared_by("recorder"))
         executor.add_node(node)
         process.settle()
         record(node, executor, process.stop, process.watchdog())

@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.configuration.operation import OPERATION, parted
+from flock_sim.configuration.operation import DEFAULTS, parted
 from flock_sim.configuration.parameter_file import Sections
 from flock_sim.console.signals import SUPERVISED
 from flock_sim.errors import FlockError
@@ -62,7 +62,7 @@ def what_is_given(
     sections = Sections({}) if SUPERVISED in os.environ else parameter_file.sections(*files)
     common = flown, operation = parted(base)
     if not sections.named:
-        return FlockConfiguration.from_parameters(flown), {**OPERATION, **operation}
+        return FlockConfiguration.from_parameters(flown), {**DEFAULTS, **operation}
     birds = _birds(name, operation, sections)
     nodes = [topics.bird_name(bird) for bird in birds] or [name]
     if reader.get_name() != _reader_name(name):
@@ -77,7 +77,7 @@ def what_is_given(
         _check_index(node, told[node].pop("index", 0), bird)
         told[node].pop("indices", None)
     numbers = {"indices": birds, "index": birds[0]} if birds else {}
-    return configuration, {**OPERATION, **together(told), **numbers}
+    return configuration, {**DEFAULTS, **together(told), **numbers}
 
 
 def _birds(name: str, operation: Mapping[str, Any], sections: Sections) -> list[int]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.configuration.operation import OPERATION, parted
+from flock_sim.configuration.operation import DEFAULTS, parted
 from flock_sim.configuration.parameter_file import Sections
 from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError
@@ -116,7 +116,7 @@ def of_flight(path: Path, options: Mapping[str, Any]) -> FlightParameters:
         key
         for operation in found.values()
         for key, value in operation.items()
-        if key not in OBEYED and value != OPERATION[key]
+        if key not in OBEYED and value != DEFAULTS[key]
     }
     if aside:
         note(f"note: {path}: {', '.join(sorted(aside))} is for nodes that are started by hand")

@@ -13,18 +13,14 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from flock_sim.configuration.choices import COUPLINGS, EXECUTORS
-from flock_sim.configuration.flock_configuration import MEANING, MOST_BIRDS, FlockConfiguration
-from flock_sim.configuration.operation import OPERATION_MEANING
+from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
+from flock_sim.configuration.operation import ALL, OPERATION
 
-OF_ALL = ("run_id", "timeout", "executor", "real_time_factor")
+OF_ALL = tuple(name for name, parameter in OPERATION.items() if parameter.nodes == ALL)
 """Operating parameters of every node."""
 
-CHOICES = {"coupling": COUPLINGS, "executor": EXECUTORS}
-
-LEAST = {"birds": 1, "index": 1, "record_every": 1, "window": 1, "run_id": 0}
-MOST = {"birds": MOST_BIRDS, "record_every": 2**53}
 LARGEST = 2**63 - 1
+"""The largest whole number that a parameter of ROS holds."""
 
 
 def declare(
@@ -35,27 +31,25 @@ def declare(
     for name, value in values.items():
         # rclpy treats an empty list as one of bytes; a list with an empty entry means the same.
         node.declare_parameter(
-            name, [""] if value == [] else value, descriptor(name, value), ignore_override=True
+            name, [""] if value == [] else value, descriptor(name), ignore_override=True
         )
 
 
-def descriptor(name: str, value: object) -> ParameterDescriptor:
+def descriptor(name: str) -> ParameterDescriptor:
     """Return the description of parameter `name`: its meaning and its range."""
+    parameter = {**KEYS, **OPERATION}[name]
     told = ParameterDescriptor(
-        description={**MEANING, **OPERATION_MEANING}[name],
-        read_only=True,
-        additional_constraints="given at start",
+        description=parameter.meaning, read_only=True, additional_constraints="given at start"
     )
-    if name in CHOICES:
-        told.additional_constraints = f"one of {', '.join(CHOICES[name])}"
-    elif isinstance(value, float):
-        least = "0 or more" if name == "real_time_factor" else "above 0"
+    if parameter.choices:
+        told.additional_constraints = f"one of {', '.join(parameter.choices)}"
+    elif isinstance(parameter.default, float):
+        least = "above 0" if parameter.least else "0 or more"
         told.additional_constraints = f"finite and {least}"
         told.floating_point_range = [
             FloatingPointRange(from_value=0.0, to_value=sys.float_info.max)
         ]
-    elif isinstance(value, int) and not isinstance(value, bool):
-        told.integer_range = [
-            IntegerRange(from_value=LEAST[name], to_value=MOST.get(name, LARGEST), step=1)
-        ]
+    elif type(parameter.default) is int:
+        most = LARGEST if parameter.most is None else parameter.most
+        told.integer_range = [IntegerRange(from_value=parameter.least, to_value=most, step=1)]
     return told
