@@ -17,6 +17,7 @@ from launch.events import Shutdown
 from launch_ros.actions import Node
 
 from flock_sim.errors import RunFailed
+from flock_sim.launcher import exit_status
 from flock_sim.launcher.fork_server import ForkServer
 from flock_sim.launcher.forkable import CannotFork
 from flock_sim.launcher.ros2_launch_arguments import Arguments, refuse_others
@@ -31,9 +32,6 @@ LATE = 30.0
 
 INTERRUPTED = (-signal.SIGINT, 128 + signal.SIGINT)
 """Exit statuses of a node after Ctrl-C. The launch gets the signal too, perhaps a moment later."""
-
-WHY = {1: "the run failed", 2: "bad input"}
-"""Exit statuses that a node would have again after a restart."""
 
 
 def declare(arguments: Mapping[str, tuple[str, str]]) -> list[Action]:
@@ -90,8 +88,9 @@ class Flight:
 
         Raises RunFailed, which ends the launch, if `who` must not be restarted.
         """
-        if status in WHY:
-            raise RunFailed(f"{who} ended with status {status} ({WHY[status]}): its error is above")
+        if exit_status.failed(status):
+            reason = exit_status.WHY.get(status, "an error")
+            raise RunFailed(f"{who} {exit_status.ended(status)} ({reason}): its error is above")
         if status in INTERRUPTED:
             return [LogInfo(msg=f"{who} was interrupted: the flight ends"), _end("interrupted")]
         if status == 0 or self._last not in self._parts:

@@ -15,6 +15,7 @@ from types import TracebackType
 from flock_sim.console.arguments import note
 from flock_sim.console.signals import SUPERVISED, ending_deferred
 from flock_sim.errors import RunFailed
+from flock_sim.launcher.exit_status import ended, failed
 from flock_sim.launcher.fork_server import Child, ForkServer
 from flock_sim.launcher.forkable import CannotFork
 from flock_sim.launcher.forked_program import Program
@@ -25,10 +26,6 @@ GRACE = 3.0
 
 MOST_DEATHS = 5
 """Most restarts of a killed process without progress of the flight in between."""
-
-
-STOPPED = 128
-"""Exit statuses from here on are 128 + the number of the signal that ended the process."""
 
 
 @dataclass
@@ -67,8 +64,7 @@ class Supervisor:
         """Give every process the ROS `parameters`, in addition to its own.
 
         `respawn`: restart killed processes. `server` forks the processes and is closed at the end.
-        Without one, or
-        once it is gone, each process is a new one.
+        Without one, or once it is gone, each process is a new one.
         """
         self._parameters = _file(parameters)
         self._respawn = respawn
@@ -100,19 +96,22 @@ class Supervisor:
             if status is not None:
                 self._start_again(child, status, progress)
 
+    def _check_restart(self, child: _ChildProcess, status: int) -> None:
+        """Raise RunFailed if a process that ended with `status` must not be restarted."""
+        if not self._respawn or failed(status):
+            raise RunFailed(f"{child.who} {ended(status)}")
+
     def _start_again(self, child: _ChildProcess, status: int, progress: int) -> None:
-        if not self._respawn or 0 < status < STOPPED:
-            raise RunFailed(f"{child.who} {_ended(status)}")
+        self._check_restart(child, status)
         if progress > child.progress:
             child.progress, child.deaths = progress, 0
         child.deaths += 1
         if child.deaths > MOST_DEATHS:
             raise RunFailed(
-                f"{child.who} {_ended(status)}, "
-                f"{child.deaths} times without any progress in between"
+                f"{child.who} {ended(status)}, {child.deaths} times without any progress in between"
             )
         self.deaths += 1
-        note(f"{child.who} {_ended(status)}: started again")
+        note(f"{child.who} {ended(status)}: started again")
         with ending_deferred():
             child.process = self._run(child)
 
@@ -138,10 +137,10 @@ class Supervisor:
         """Do as `check`, but do not restart processes without work at the end."""
         for child in self._children:
             status = child.process.poll()
-            if status and not (self._respawn and (status < 0 or status >= STOPPED)):
-                raise RunFailed(f"{child.who} {_ended(status)}")
-            if status and child.to_the_end:
-                self._start_again(child, status, 0)
+            if status:
+                self._check_restart(child, status)
+                if child.to_the_end:
+                    self._start_again(child, status, 0)
 
     def stop(self) -> None:
         """End every running process: in order if possible, by force after GRACE."""
@@ -205,11 +204,3 @@ def _file(parameters: Mapping[str, object]) -> int:
     with os.fdopen(os.dup(descriptor), "w", encoding="utf-8") as file:
         file.write(parameter_file.text(parameters))
     return descriptor
-
-
-def _ended(status: int) -> str:
-    if status == 0:
-        return "ended before the flight was over"
-    if status > 0:
-        return f"ended with status {status}"
-    return f"was killed by {signal.Signals(-status).name}"
