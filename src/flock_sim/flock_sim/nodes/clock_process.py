@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 
-from flock_sim.configuration.operation import declared_by
+from flock_sim.configuration.operation import OPERATION, declared_by
 from flock_sim.messages import topics
 from flock_sim.messages.epochs import first_epoch
 from flock_sim.messages.handshake import run_id_of
@@ -43,7 +43,8 @@ _main = run_node(
     "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are there,\n"
     "grants steps, tells the simulated time, and ends with the flight. If it dies and is started\n"
     "again with the same parameters, the flight goes on.\n\n"
-    "parameters: window (64; 1 is lockstep), record (true: wait for a recorder), record_stages,\n"
+    f"parameters: window ({OPERATION['window'].default}; 1 is lockstep), "
+    "record (true: wait for a recorder), record_stages,\n"
     "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"
     "configuration file.\n\n"
     "services: ~/pause, ~/resume, ~/stop (std_srvs/Trigger), ~/step and ~/perturb\n"
