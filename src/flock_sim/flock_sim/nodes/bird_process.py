@@ -12,6 +12,7 @@ from functools import partial
 from rclpy.executors import Executor
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.operation import declared_by
 from flock_sim.console.signals import Stop
 from flock_sim.errors import FlockError
 from flock_sim.nodes.announcements import Announcements
@@ -20,7 +21,7 @@ from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
 from flock_sim.protocol.free_flight import check_free
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import wait_until_heard
-from flock_sim.ros.parameters import OF_ALL, declare
+from flock_sim.ros.parameters import declare
 from flock_sim.ros.process import Process, executing, run_node
 from flock_sim.ros.spin import keep_flying
 from flock_sim.ros.watchdog import Watchdog
@@ -50,7 +51,7 @@ def work(process: Process) -> None:
         )
         if alone:
             operation = {**operation, "index": indices[0]}
-            declare(birds[0], configuration, operation, ("index", *OF_ALL))
+            declare(birds[0], configuration, operation, declared_by("bird"))
         process.settle()
         gc.freeze()  # these objects stay, so the collector need not scan them
         fly_together(birds, executor, process.stop, process.watchdog(), keep)

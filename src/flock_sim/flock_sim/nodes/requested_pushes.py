@@ -6,7 +6,8 @@ from __future__ import annotations
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import FOREIGN, MALFORMED, REPEATED
-from flock_sim.protocol.session import Session, refuses_push
+from flock_sim.protocol.requests import refuses_push
+from flock_sim.protocol.session import Session
 from flock_sim.recording.flight_writer import Recording
 
 MOST_ASKED = 16

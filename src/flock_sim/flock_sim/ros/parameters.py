@@ -14,10 +14,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
-from flock_sim.configuration.operation import ALL, OPERATION
-
-OF_ALL = tuple(name for name, parameter in OPERATION.items() if parameter.nodes == ALL)
-"""Operating parameters of every node."""
+from flock_sim.configuration.operation import OPERATION
 
 LARGEST = 2**63 - 1
 """The largest whole number that a parameter of ROS holds."""
