@@ -12,8 +12,8 @@ from matplotlib.collections import PolyCollection
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.recording.run import Run
-from flock_tools.commands import output as output_module
 from flock_tools.commands.picture import tool
+from flock_tools.figures import output as output_module
 from flock_tools.figures.plan_view import DRAG_SAVED
 from flock_tools.figures.run_history import draw
 from flock_tools.runs.dataset import read

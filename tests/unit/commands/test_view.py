@@ -12,8 +12,8 @@ from matplotlib.collections import PolyCollection
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.recording.run import Run
-from flock_tools.commands import output as output_module
 from flock_tools.commands.view import period, tool
+from flock_tools.figures import output as output_module
 from flock_tools.scene.picture import Camera, draw_scene, polygons, scene_of
 from flock_tools.scene.shapes import scene
 from support.flights import record

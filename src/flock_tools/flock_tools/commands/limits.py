@@ -25,7 +25,7 @@ from flock_sim.console.arguments import (
 )
 from flock_sim.errors import FlockError, nearest
 from flock_sim.launcher.partition import process_count
-from flock_tools.commands.output import check_picture, write_picture
+from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration

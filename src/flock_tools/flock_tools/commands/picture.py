@@ -10,7 +10,7 @@ from pathlib import Path
 
 from flock_sim.console.arguments import Parser, note, run_tool, whole_number
 from flock_tools.commands.options import add_moment_option, moment
-from flock_tools.commands.output import check_picture, write_picture
+from flock_tools.figures.output import check_picture, write_picture
 
 MOST_TIMES = 2000
 """Largest number of recorded rows that a curve is drawn through."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from flock_sim.console.arguments import Parser, note, print_json, run_tool
 from flock_sim.errors import FlockError
-from flock_tools.commands.output import check_output, write_output
+from flock_tools.figures.output import check_output, write_output
 
 if TYPE_CHECKING:
     from flock_sim.recording.run import Run

@@ -24,7 +24,7 @@ from flock_sim.console.arguments import (
     whole_numbers,
 )
 from flock_sim.errors import FlockError
-from flock_tools.commands.output import check_picture, write_picture
+from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration

@@ -20,7 +20,7 @@ from flock_sim.console.arguments import (
 )
 from flock_sim.launcher.partition import process_count
 from flock_sim.ros.discovery import prepare_discovery
-from flock_tools.commands.output import write_picture
+from flock_tools.figures.output import write_picture
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -27,7 +27,7 @@ from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.ros.discovery import DOMAIN, NETWORK_HELP, prepare_discovery
 from flock_tools.commands.options import add_moment_option, moment
-from flock_tools.commands.output import check_picture, write_picture
+from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flock_sim.errors import FlockError
+from flock_tools.figures.output import write_output
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,8 +90,5 @@ def write_figures(figures: Iterable[FigureFiles], output: Path) -> None:
     for figure in figures:
         for name, content in figure.files():
             path = output / name
-            try:
-                path.write_bytes(content)
-            except OSError as error:
-                raise FlockError(f"--output {path}: can't be written: {error.strerror}") from error
+            write_output(path, content)
             print(path)
