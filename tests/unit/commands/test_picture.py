@@ -14,8 +14,8 @@ from flock_sim.console.arguments import run_tool
 from flock_sim.recording.run import Run
 from flock_tools.commands.picture import tool
 from flock_tools.figures import output as output_module
-from flock_tools.figures.plan_view import DRAG_SAVED
 from flock_tools.figures.run_history import draw
+from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.runs.dataset import read
 from support.flights import Change, keep, record
 

@@ -12,7 +12,8 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.types import ENCAPSULATION
 from flock_sim.physics import formation
 from flock_sim.physics.scaling import Scales
-from flock_tools.figures.plan_view import DRAG_SAVED, OUTLINE
+from flock_tools.figures.bird_outline import RIGHT_HALF
+from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
 from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
@@ -47,7 +48,7 @@ def group(shown: Scene, name: str) -> list[Shape]:
 def test_a_bird_is_as_wide_as_its_outline_and_has_its_area() -> None:
     tips = BIRD[..., 1]
     assert (tips.min(), tips.max()) == (-1.0, 1.0)
-    x, y = OUTLINE.T
+    x, y = RIGHT_HALF.T
     shoelace = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
     edges = BIRD[:16, 1:, :2] - BIRD[:16, :1, :2]
     areas = 0.5 * np.abs(np.linalg.det(edges))

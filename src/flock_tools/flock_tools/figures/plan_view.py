@@ -5,13 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
@@ -19,28 +17,8 @@ from flock_sim.analysis.metrics import Metrics
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.figures.style import FAINT, INK, PALE
-
-# Light means little drag saved, dark means much. The lightest end is invisible on paper.
-DRAG_SAVED = LinearSegmentedColormap.from_list(
-    "drag saved", mpl.colormaps["viridis_r"](np.linspace(0.08, 1.0, 256))
-)
-
-OUTLINE = np.array(
-    [
-        (0.0, 0.15),
-        (0.04, 0.11),
-        (0.4, 0.1),
-        (0.75, 0.02),
-        (1.0, -0.12),
-        (0.72, -0.1),
-        (0.4, -0.1),
-        (0.07, -0.13),
-        (0.04, -0.22),
-        (0.0, -0.23),
-    ]
-)
-"""The right wing from above, flying upwards: (across, along) over the semi-span, nose to tail."""
+from flock_tools.figures.bird_outline import OUTLINE
+from flock_tools.figures.style import DRAG_SAVED, FAINT, INK, PALE, saved_scale
 
 _NARROWEST = 10.0
 """Least width that is shown, in b, so that a few birds are not drawn too large."""
@@ -145,23 +123,10 @@ def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
     bar.update_ticks()
 
 
-def saved_scale(saved: FloatArray) -> Normalize:
-    """Return the colour scale of drag reductions, in %.
-
-    A scale fitted to each picture would exaggerate negligible differences.
-    """
-    known = saved[np.isfinite(saved)]
-    return Normalize(
-        min(0.0, 5.0 * np.floor(known.min(initial=0.0) / 5.0)),
-        max(20.0, 5.0 * np.ceil(known.max(initial=0.0) / 5.0)),
-    )
-
-
 def _wings(across: FloatArray, along: FloatArray, span_ratio: FloatArray) -> list[FloatArray]:
     """Return the outline of each bird."""
-    whole = np.concatenate([OUTLINE, OUTLINE[::-1] * (-1.0, 1.0)])
     places = np.column_stack([across, along])
-    return [place + ratio * whole for place, ratio in zip(places, span_ratio, strict=True)]
+    return [place + ratio * OUTLINE for place, ratio in zip(places, span_ratio, strict=True)]
 
 
 def _number(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:

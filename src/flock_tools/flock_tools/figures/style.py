@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The common style of all pictures: colours, fonts, and the name of a flock."""
+"""The common style of all pictures: colours, fonts, the scale of saved drag, names of flocks."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.arrays import FloatArray
 
 INK, FAINT, PALE = "#22303c", "#8a949d", "#bfc6cc"
 ALARM = "#b5382a"
 
 SKY, BLUE, GREEN, ORANGE, VERMILLION = "#56b4e9", "#0072b2", "#009e73", "#e69f00", "#d55e00"
 """Colours that are distinct for colour-blind readers, too (Okabe and Ito)."""
+
+# Light means little drag saved, dark means much. The lightest end is invisible on paper.
+DRAG_SAVED = LinearSegmentedColormap.from_list(
+    "drag saved", mpl.colormaps["viridis_r"](np.linspace(0.08, 1.0, 256))
+)
 
 STYLE: dict[Any, Any] = {
     "axes.edgecolor": FAINT,
@@ -63,6 +71,18 @@ COUPLING_NAMES = {"nearest": "nearest-neighbour", "all": "all-to-all"}
 
 MOST_ODD = 4
 """Largest number of birds of another span that are named."""
+
+
+def saved_scale(saved: FloatArray) -> Normalize:
+    """Return the colour scale of drag reductions, in %.
+
+    A scale fitted to each picture would exaggerate negligible differences.
+    """
+    known = saved[np.isfinite(saved)]
+    return Normalize(
+        min(0.0, 5.0 * np.floor(known.min(initial=0.0) / 5.0)),
+        max(20.0, 5.0 * np.ceil(known.max(initial=0.0) / 5.0)),
+    )
 
 
 def flock_name(configuration: FlockConfiguration, m: int) -> str:

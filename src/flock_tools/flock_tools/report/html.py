@@ -21,6 +21,7 @@ from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.parameter_file import PARAMETERS, SECTION
 from flock_sim.physics.arrays import FloatArray
+from flock_tools.figures.bird_outline import OUTLINE
 from flock_tools.report.data import Reported
 from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, rows, verdict
 
@@ -71,7 +72,11 @@ def page(runs: Sequence[Reported]) -> bytes:
         style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),
         script=Markup(script),
         script_hash=f"sha256-{digest}",
-        data={"stable_below": STABLE_BELOW, "runs": [_embedded(run) for run in runs]},
+        data={
+            "stable_below": STABLE_BELOW,
+            "outline": OUTLINE.tolist(),
+            "runs": [_embedded(run) for run in runs],
+        },
     )
     # A path may hold bytes that are not valid text.
     return text.encode("utf-8", "backslashreplace")

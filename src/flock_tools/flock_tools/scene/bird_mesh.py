@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.figures.plan_view import OUTLINE
+from flock_tools.figures.bird_outline import RIGHT_HALF
 
 _WING = [(0, 1, 8), (0, 8, 9), (1, 7, 8), (1, 2, 7), (2, 6, 7), (2, 3, 6), (3, 5, 6), (3, 4, 5)]
-"""Triangles between the points of the outline."""
+"""Triangles between the points of the right half of the outline."""
 
 _BODY = [(-0.3, 0.0), (-0.12, 0.055), (0.12, 0.06), (0.26, 0.022), (0.42, 0.03), (0.5, 0.0)]
 """From tail to beak: distance in front of the wing's centre, and radius."""
@@ -27,7 +27,7 @@ _LIGHT = np.array([0.25, 0.3, 0.92])
 
 def _wings() -> FloatArray:
     """Return the triangles of both wings, which are bent as a goose's are; (triangles, 3, 3)."""
-    across, along = OUTLINE.T
+    across, along = RIGHT_HALF.T
     height = 0.17 * across - 0.1 * across**2
     right = np.column_stack([along, -across, height])
     left = right * (1.0, -1.0, 1.0)

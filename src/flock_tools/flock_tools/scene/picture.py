@@ -19,8 +19,7 @@ from matplotlib.patheffects import withStroke
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
-from flock_tools.figures.plan_view import DRAG_SAVED, saved_scale
-from flock_tools.figures.style import STYLE, flock_name
+from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
 from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
 from flock_tools.scene.snapshot import Moment

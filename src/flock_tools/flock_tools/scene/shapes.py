@@ -17,7 +17,7 @@ import numpy.typing as npt
 from matplotlib.colors import Colormap, Normalize
 
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.figures.plan_view import DRAG_SAVED, saved_scale
+from flock_tools.figures.style import DRAG_SAVED, saved_scale
 from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
 from flock_tools.scene.snapshot import Moment

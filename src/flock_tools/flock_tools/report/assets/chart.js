@@ -9,9 +9,6 @@ const LEFT = 60, RIGHT = 24, TOP = 10, BOTTOM = 40; // px around a chart; the cu
 const RUNS = 6; // colours, in report.css
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
 const RAMP = [[59, 111, 212], [181, 70, 143], [230, 134, 42]]; // as in report.css; on light and dark
-const WING = [[0, 0.15], [0.04, 0.11], [0.4, 0.1], [0.75, 0.02], [1, -0.12], [0.72, -0.1], [0.4, -0.1],
-  [0.07, -0.13], [0.04, -0.22], [0, -0.23]]; // the right wing from above: across, along, over the semi-span
-const OUTLINE = [...WING, ...WING.slice(1, -1).reverse().map(([across, along]) => [-across, along])];
 const chosen = { run: 0, member: 0, frame: 0 };
 
 // Numbers ---------------------------------------------------------------------------------------------------

@@ -136,7 +136,7 @@ function drawBirds(context, scene, place, scale, paint) {
     if (!Number.isFinite(along)) return;
     const [x, y] = place(scene.across[i], along), size = scale * scene.ratio[i];
     context.beginPath();
-    for (const [aside, ahead] of OUTLINE) context.lineTo(x + size * aside, y - 1.4 * size * ahead);
+    for (const [aside, ahead] of data.outline) context.lineTo(x + size * aside, y - 1.4 * size * ahead);
     context.closePath();
     paint(i, x, y);
   });
