@@ -16,7 +16,7 @@ from flock_sim.bag.topic import Topic
 from flock_tools.playback import loop as playback
 from flock_tools.playback.loop import Playback, Recorded
 from flock_tools.playback.schedule import Schedule
-from flock_tools.playback.topics import DEFAULT_DEPTH, recorded_qos
+from flock_tools.playback.topics import DEFAULT_DEPTH, merged, recorded_profiles
 
 SECOND = 10**9
 ORIGIN = 7 * SECOND
@@ -269,6 +269,10 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 UNKNOWN = QoSProfile(depth=DEFAULT_DEPTH)
+
+
+def recorded_qos(text: str) -> QoSProfile:
+    return merged(recorded_profiles(text))
 
 
 def test_qos_is_what_was_recorded() -> None:

@@ -108,24 +108,22 @@ def expanded(name: str) -> str:
     return name if name.startswith(("/", "~")) else f"/{name}"
 
 
-def recorded_qos(text: str) -> QoSProfile:
-    """Return the profile that publishers offered, as rosbag2 writes it in a channel's metadata.
+def recorded_profiles(text: str) -> list[QoSProfile]:
+    """Return the profiles that publishers offered, as rosbag2 writes them in a channel's metadata.
 
-    Several profiles with the same durability and reliability give these and the deepest queue. If
-    they differ, or if the text can't be read, the profile is reliable, volatile, keep-last 10.
-    Deadline, lifespan and liveliness are left out.
+    Deadline, lifespan and liveliness are left out. A text that can't be read has no profiles.
     """
-    return _merged(_profiles(text))
-
-
-def _profiles(text: str) -> list[QoSProfile]:
     try:
         return [_profile(entry) for entry in yaml.safe_load(text) or ()]
     except (yaml.YAMLError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError):
         return []
 
 
-def _merged(profiles: Sequence[QoSProfile]) -> QoSProfile:
+def merged(profiles: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the profile to play with: of equal durability and reliability, the deepest queue.
+
+    If these differ, or without profiles, it is reliable, volatile, keep-last 10.
+    """
     kinds = {(profile.durability, profile.reliability) for profile in profiles}
     if len(kinds) != 1:
         return QoSProfile(depth=DEFAULT_DEPTH)
@@ -171,9 +169,9 @@ def _playable(
         for stream in chosen
         for channel in bag.streams[stream]
     }
-    profiles = [_profiles(text) for text in told]
+    profiles = [recorded_profiles(text) for text in told]
     publishers = max(1, *map(len, profiles))
-    playable = Playable(kind, _merged([*chain(*profiles)]), tuple(chosen), publishers)
+    playable = Playable(kind, merged([*chain(*profiles)]), tuple(chosen), publishers)
     return playable, list(dict.fromkeys(reasons))
 
 
