@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from struct import Struct
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +20,12 @@ from flock_sim.messages.types import (
     State,
 )
 
-HEAD = 44  # bytes before the arrays: encapsulation, header, step and time
-TAIL = STATE_ENVELOPE.size  # bytes after them: run id and epoch
+HEAD = STATE_STEP_AT + 16
+"""Bytes before the arrays: encapsulation, header, step and time."""
+
+TAIL = STATE_ENVELOPE.size
+"""Bytes after the arrays: run id and epoch."""
+
 _FRAME = (len(FRAME) + 1).to_bytes(4, "little") + FRAME.encode() + b"\0"
 _FRAME_AT = 12
 _COUNT = 8  # bytes of an array's length, with the padding after it
@@ -28,28 +33,23 @@ _COUNT = 8  # bytes of an array's length, with the padding after it
 
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
-    members, count, (first, second, third, fourth) = _layout(len(data))
-    starts = data.startswith
+    members, lengths = _layout(len(data))
     if (
-        starts(ENCAPSULATION)
-        and starts(_FRAME, _FRAME_AT)
-        and starts(count, first)
-        and starts(count, second)
-        and starts(count, third)
-        and starts(count, fourth)
+        members
+        and data.startswith(ENCAPSULATION)
+        and data.startswith(_FRAME, _FRAME_AT)
+        and lengths.unpack(data) == (members,) * len(ARRAYS)
     ):
         return members
     return 0
 
 
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layout(size: int) -> tuple[int, bytes, list[int]]:
-    """Return the members of a state of `size` bytes, and the bytes and places of array counts."""
-    stride, rest = divmod(size - HEAD - TAIL, len(ARRAYS))
-    members, more = divmod(stride - _COUNT, 8)
-    if rest or more or members < 1:
-        return 0, b"", [0, 0, 0, 0]
-    return members, members.to_bytes(4, "little"), [HEAD + k * stride for k in range(len(ARRAYS))]
+def _layout(size: int) -> tuple[int, Struct]:
+    """Return the members of a state of `size` bytes, and the struct of its array lengths."""
+    members, rest = divmod(size - State.lengths(0).size, 8 * len(ARRAYS))
+    members = 0 if rest or members < 1 else members
+    return members, State.lengths(members)
 
 
 def same_head(one: bytes, other: bytes) -> bool:
