@@ -30,6 +30,9 @@ def test_both_give_the_same_bits(source: float, target: float) -> None:
         plain = interaction.ahead_integral_and_slope(distance, lateral, source, target)
         compiled = aerodynamics.ahead_integral_and_slope(distance, lateral, source, target)
         assert bits(*plain) == bits(*compiled), (distance, lateral)
+        for x in (-distance, distance):
+            both = interaction.split_drag(x, 0.1, plain[0], even)
+            assert bits(*both) == bits(*aerodynamics.split_drag(x, 0.1, plain[0], even))
 
 
 def test_both_give_the_same_bits_wherever_birds_fly() -> None:

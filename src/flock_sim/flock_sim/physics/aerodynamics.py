@@ -9,6 +9,7 @@ from flock_sim.physics.compile import elementwise, kernel
 
 even_part = kernel(interaction.even_part)
 ahead_integral_and_slope = kernel(interaction.ahead_integral_and_slope)
+split_drag = kernel(interaction.split_drag)
 
 
 @kernel
@@ -26,10 +27,8 @@ def ahead_integral(
 
 @elementwise
 def _integral(x: float, lateral: float, source_half: float, target_half: float) -> float:
-    integral = ahead_integral(abs(x), abs(lateral), source_half, target_half)
-    if x > 0.0:
-        return 2.0 * even_part(abs(lateral), source_half, target_half) - integral
-    return integral
+    ahead = ahead_integral(abs(x), abs(lateral), source_half, target_half)
+    return split_drag(x, 1.0, ahead, even_part(abs(lateral), source_half, target_half))[0]
 
 
 def interaction_integral(

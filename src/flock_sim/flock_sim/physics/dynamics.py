@@ -5,7 +5,7 @@ The distributed flight and the reference call the same functions in the same ord
 results agree bit for bit.
 """
 
-from flock_sim.physics.aerodynamics import ahead_integral
+from flock_sim.physics.aerodynamics import ahead_integral, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.interaction import PER_FOUR_PI
@@ -47,12 +47,7 @@ def drag_of_pair(
     """
     strength = circulation * other_circulation * PER_FOUR_PI
     ahead = ahead_integral(abs(x), lateral, half, other_half)
-    behind = 2.0 * even - ahead
-    if x > 0.0:
-        return strength * behind, strength * ahead
-    if x < 0.0:
-        return strength * ahead, strength * behind
-    return strength * ahead, strength * ahead  # side by side: both get E, in either order
+    return split_drag(x, strength, ahead, even)
 
 
 @kernel

@@ -18,8 +18,9 @@ cancellation,
     E    = f(0) = ln[p s / (q r)] = ln[1 - 4 a a' / (y^2 - (a - a')^2)]
 
 E is the part of I that is even in x, so D_ij + D_ji does not depend on the streamwise distance.
-One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji. It also gives the
-derivative f'(X) = (J(p) + J(s) - J(q) - J(r)) / X^2, since all its terms are known.
+One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji, and `split_drag`
+decides which is which. It also gives the derivative f'(X) = (J(p) + J(s) - J(q) - J(r)) / X^2,
+since all its terms are known.
 
 These are plain functions of numbers, for a few evaluations without numba. `physics.aerodynamics`
 compiles kernels from them: the operations are the same, and so are the bits.
@@ -98,3 +99,17 @@ def ahead_integral_and_slope(
     if excess < NEAR_TOUCH:
         return log((distance + j_p) * (distance + j_s) / denominator) - bound, slope
     return log1p(excess) - bound, slope
+
+
+def split_drag(x: float, strength: float, ahead: float, even: float) -> tuple[float, float]:
+    """Return the drags of a pair (on a bird, on the other), in the unit of `strength`. Eq. (Djk2).
+
+    `x` is the other's position minus the bird's, `strength` is Gamma_i Gamma_j / (4 pi), `ahead` is
+    f(|x|) and `even` is E of the pair. With strength 1, the results are the integrals I.
+    """
+    behind = 2.0 * even - ahead
+    if x > 0.0:
+        return strength * behind, strength * ahead
+    if x < 0.0:
+        return strength * ahead, strength * behind
+    return strength * ahead, strength * ahead  # side by side: both get E, in either order

@@ -21,7 +21,7 @@ exists.
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.physics.aerodynamics import ahead_integral_and_slope
+from flock_sim.physics.aerodynamics import ahead_integral_and_slope, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.theory.steady_speed import balance, steady_square
@@ -180,9 +180,9 @@ def _forces(
         i, j = pairs[k, 0], pairs[k, 1]
         x = position[j] - position[i]
         ahead, slope = ahead_integral_and_slope(abs(x), lateral[k], half_span[i], half_span[j])
-        behind = 2.0 * even[k] - ahead
-        force[i] -= strength[k] * (behind if x > 0.0 else ahead)
-        force[j] -= strength[k] * (ahead if x > 0.0 else behind)
+        on_i, on_j = split_drag(x, strength[k], ahead, even[k])
+        force[i] -= on_i
+        force[j] -= on_j
         stiffness[k] = strength[k] * slope
 
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from flock_sim.errors import RunFailed
 from flock_sim.physics import formation
-from flock_sim.physics.aerodynamics import ahead_integral_and_slope
+from flock_sim.physics.aerodynamics import ahead_integral_and_slope, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.flock import Flock
@@ -146,7 +146,7 @@ def _fill_forces(
             ahead, slope = ahead_integral_and_slope(
                 abs(seen), lateral[k], half_span[i], half_span[j]
             )
-            rest[j] -= weight * (2.0 * even[k] - ahead if seen > 0.0 else ahead)
+            rest[j] -= split_drag(seen, weight, ahead, even[k])[0]
             slopes[j, i] += weight * slope
             slopes[j, j] -= weight * slope
             slopes[j, birds] -= weight * slope * lag

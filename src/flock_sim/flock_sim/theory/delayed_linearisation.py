@@ -40,7 +40,7 @@ from scipy.linalg import eigvals
 
 from flock_sim.errors import RunFailed
 from flock_sim.physics import formation
-from flock_sim.physics.aerodynamics import ahead_integral_and_slope
+from flock_sim.physics.aerodynamics import ahead_integral_and_slope, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.interaction import PER_FOUR_PI
@@ -103,7 +103,7 @@ class DelayedLinearisation:
                 ahead, slope = ahead_integral_and_slope(
                     abs(seen), flock.lateral[k, 0], flock.half_span[i, 0], flock.half_span[j, 0]
                 )
-                drag = strength * (2.0 * even - ahead if seen > 0.0 else ahead)
+                drag = split_drag(seen, strength, ahead, even)[0]
                 pull[j, i] = strength * slope / mass[j]
                 push[j, i] = drag / (mass[j] * speed)
         damping = 2.0 * (profile * speed - induced / speed**3) / mass - push.sum(axis=1)

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.errors import RunFailed
-from flock_sim.physics.aerodynamics import ahead_integral, even_part
+from flock_sim.physics.aerodynamics import ahead_integral, even_part, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.flock import Flock
@@ -250,5 +250,5 @@ def _left_over(
 @kernel
 def _share_at(x: float, lateral: float, half: float, other_half: float, even: float) -> float:
     """Return s(x) = I(x) / (2 E) of a bird that sees the other at `x` ahead; `even` is E."""
-    smaller = ahead_integral(abs(x), lateral, half, other_half) / (2.0 * even)
-    return 1.0 - smaller if x > 0.0 else smaller
+    ahead = ahead_integral(abs(x), lateral, half, other_half)
+    return split_drag(x, 1.0, ahead, even)[0] / (2.0 * even)

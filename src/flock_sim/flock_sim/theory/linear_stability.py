@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.physics import formation
-from flock_sim.physics.aerodynamics import ahead_integral_and_slope
+from flock_sim.physics.aerodynamics import ahead_integral_and_slope, split_drag
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.flock import Flock
@@ -100,9 +100,7 @@ def _fill_jacobian(
             )
             strength = PER_FOUR_PI * coefficients[i, 4, m] / speed[i, m]
             strength *= coefficients[j, 4, m] / speed[j, m]
-            behind = 2.0 * even[k, m] - ahead
-            on_i = strength * (behind if x > 0.0 else ahead)
-            on_j = strength * (ahead if x > 0.0 else behind)
+            on_i, on_j = split_drag(x, strength, ahead, even[k, m])
             # A bird that moves back gains; the other one loses the same amount.
             pull = strength * slope
             rows[birds + i, i] -= pull
