@@ -90,8 +90,8 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
     pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
     assert pixels == pytest.approx(expected.upwash, rel=1e-4, abs=1e-6)
     stamp = told.header.stamp
-    moment = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2).moment
-    assert told.transform.translation.x == pytest.approx(moment.origin * moment.metre)
+    snapshot = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2).snapshot
+    assert told.transform.translation.x == pytest.approx(snapshot.origin * snapshot.metre)
     assert "no clock tells what is flown" in job.stderr
     assert "3 birds, member 2 of 2" in job.stderr
     too_many = terminal.run("view", "--member", 3, "--timeout", 60)
@@ -182,8 +182,8 @@ def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
             (told,) = message.transforms
             assert (told.header.frame_id, told.child_frame_id) == ("world", FRAME)
             seconds, nanoseconds = divmod(at, 1_000_000_000)
-            moment = recorded(terminal, "flown", seconds, nanoseconds, 1).moment
-            assert told.transform.translation.x == pytest.approx(moment.origin * moment.metre)
+            snapshot = recorded(terminal, "flown", seconds, nanoseconds, 1).snapshot
+            assert told.transform.translation.x == pytest.approx(snapshot.origin * snapshot.metre)
         elif topic == "/flock/view/upwash":
             assert message.encoding == "32FC1"
             assert len(message.data) == message.height * message.step

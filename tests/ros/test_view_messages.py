@@ -13,9 +13,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from flock_tools.scene import messages
 from flock_tools.scene.shapes import Kind, scene
-from unit.scene.test_shapes import moment
+from unit.scene.test_shapes import snapshot
 
-SHOWN = scene(moment(), [moment().along - 1.0])
+SHOWN = scene(snapshot(), [snapshot().along - 1.0])
 
 
 def test_markers_are_those_of_visualization_msgs() -> None:
@@ -61,14 +61,14 @@ def test_the_image_is_one_of_sensor_msgs() -> None:
 
 
 def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:
-    told = deserialize_message(messages.transform(SHOWN.moment), TransformStamped)
+    told = deserialize_message(messages.transform(SHOWN.snapshot), TransformStamped)
     assert (told.header.frame_id, told.child_frame_id) == ("world", "flock")
     shift = told.transform.translation
     assert (shift.x, shift.y, shift.z) == (800.0, 0.0, 0.0)  # b = 0.8 m
     assert told.transform.rotation.w == 1.0
     # There is no wheel of tf2_msgs; others know the type.
     store = get_typestore(Stores.ROS2_JAZZY)
-    message = store.deserialize_cdr(messages.transforms(SHOWN.moment), "tf2_msgs/msg/TFMessage")
+    message = store.deserialize_cdr(messages.transforms(SHOWN.snapshot), "tf2_msgs/msg/TFMessage")
     (same,) = message.transforms
     assert (same.header.frame_id, same.child_frame_id) == ("world", "flock")
     assert (same.header.stamp.sec, same.header.stamp.nanosec) == (1, 2)

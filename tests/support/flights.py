@@ -10,9 +10,10 @@ from flock_sim.commands.reference import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages.types import ARRAYS, Grant, State, Time, Wing
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.row_assembler import Row
-from flock_sim.reference.integrator import Recorded, Reference
+from flock_sim.reference.integrator import Reference
 
 Change = Callable[[int, State], State | None]
 """A change of a bird's state before it is written to the bag; None: it is left out."""
@@ -27,7 +28,7 @@ def record(
     configuration: FlockConfiguration,
     change: Change = keep,
     *,
-    states: Iterable[Recorded] | None = None,
+    states: Iterable[FlockState] | None = None,
     span_ratio: np.ndarray | None = None,
     run_id: int = 0,
     grants: bool = False,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from flock_sim.links.registry import register as register
     from flock_sim.nodes.bird import BirdNode as BirdNode
     from flock_sim.physics.flock import Flock as Flock
+    from flock_sim.physics.flock_state import FlockState as FlockState
     from flock_sim.protocol.control_force import Perception as Perception
     from flock_sim.recording.run import Run as Run
     from flock_sim.reference.integrator import Reference as Reference
@@ -41,6 +42,7 @@ _MODULES = {
     "Flock": "physics.flock",
     "FlockConfiguration": "configuration.flock_configuration",
     "FlockError": "errors",
+    "FlockState": "physics.flock_state",
     "Limits": "theory.span_limits",
     "LinkModel": "links.models",
     "Metrics": "analysis.metrics",

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from flock_sim.analysis import metrics as core_metrics
 from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.flock_state import FlockState
 
 K = 2.0 * 0.025 / 9.0  # Eq. (hatk)
 CRUISE = 18.5 / 18.0
@@ -28,9 +29,9 @@ def measured(configuration: FlockConfiguration, position=None, speed=None, drag=
         np.full(shape, default)
         if given is None
         else np.array(given, dtype=float).reshape(shape[0], -1) * np.ones(shape)
-        for given, default in ((position, 0.0), (speed, CRUISE), (drag, 0.0))
+        for given, default in ((position, 0.0), (speed, CRUISE), (None, 0.0), (drag, 0.0))
     ]
-    return measure(configuration, 10, *arrays)
+    return measure(configuration, FlockState(10, configuration.time(10), *arrays))
 
 
 def integral(x: float) -> float:

@@ -7,15 +7,13 @@ import pytest
 from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.analysis.summary import MOST_MEMBERS, summary
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.reference.integrator import Reference
 
 
 def metrics_of(configuration: FlockConfiguration) -> Metrics:
-    flock = Reference(configuration)
-    flock.advance(configuration.steps)
-    return measure(
-        configuration, configuration.steps, flock.position, flock.speed, flock.observe()[3]
-    )
+    *_, end = Reference(configuration).fly()
+    return measure(configuration, end)
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
@@ -40,7 +38,8 @@ def test_wings_that_mirror_each_other_are_told_once() -> None:
 def test_the_right_wing_is_told_from_its_tail() -> None:
     configuration = FlockConfiguration(birds=5)
     position = np.array([[0.0], [3.0], [4.0], [3.5], [1.5]])
-    text = summary(measure(configuration, 0, position, np.ones((5, 1)), np.zeros((5, 1))))
+    state = FlockState(0, 0.0, position, np.ones((5, 1)), np.ones((5, 1)), np.zeros((5, 1)))
+    text = summary(measure(configuration, state))
     (left,) = (line for line in text.splitlines() if "spacing, left wing" in line)
     (right,) = (line for line in text.splitlines() if "spacing, right wing" in line)
     assert left.split()[3:5] == ["3.0000", "1.0000"]
@@ -66,7 +65,8 @@ def test_of_many_members_the_first_are_told_and_all_are_counted() -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_flock_that_is_not_finite_has_a_summary() -> None:
     nothing = np.full((3, 1), np.nan)
-    text = summary(measure(FlockConfiguration(birds=3), 0, nothing, nothing, nothing))
+    state = FlockState(0, 0.0, nothing, nothing, nothing, nothing)
+    text = summary(measure(FlockConfiguration(birds=3), state))
     assert "does not hold together" in text
 
 

@@ -17,7 +17,7 @@ from flock_tools.figures import output as output_module
 from flock_tools.scene.picture import Camera, draw_scene, polygons, scene_of
 from flock_tools.scene.shapes import scene
 from support.flights import record
-from unit.scene.test_shapes import moment
+from unit.scene.test_shapes import snapshot
 
 TWO = FlockConfiguration(birds=3, t_max=40.0, span_ratios=("1=0.9,1.0",))
 
@@ -63,7 +63,7 @@ def test_trails_come_from_the_bag(flight: Path) -> None:
 
 
 def test_what_is_nearer_is_seen_larger_and_what_is_right_on_the_right() -> None:
-    birds = [shape for shape in scene(moment()).shapes if shape.group == "birds"]
+    birds = [shape for shape in scene(snapshot()).shapes if shape.group == "birds"]
     camera = Camera.at(birds)
     to_left = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     seen, _ = camera.see(to_left)

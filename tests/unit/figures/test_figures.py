@@ -19,13 +19,13 @@ from flock_sim.console.arguments import run_tool
 from flock_sim.physics.aerodynamics import even_part, interaction_integral
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.formation import TIP_SPACING, VORTEX_FRACTION
+from flock_sim.theory.equilibrium import equilibrium
 from flock_sim.theory.span_limits import End, Limits, exact_limits, modified_birds
 from flock_tools.commands.figures import tool
 from flock_tools.figures import files
 from flock_tools.figures.contributions import CONFIGURATION, contributions, draw_contributions
 from flock_tools.figures.limits import draw_limits, limits_table
 from flock_tools.figures.modified_bird import CASES, draw_modified, modified_flocks, modified_table
-from flock_tools.figures.steady_layout import steady
 from flock_tools.figures.steady_states import SHOWN, draw_steady, steady_flocks
 from flock_tools.figures.style import COLUMN, PAGE, SMALL
 from flock_tools.figures.table import Table
@@ -67,7 +67,7 @@ def drag(speed, ratio=1.0):
 def test_contributions_sum_to_1_and_drags_to_what_a_bird_saves() -> None:
     data = contributions()
     assert np.nansum(data.normalized, axis=1) == pytest.approx(np.ones(13), abs=ROUNDING)
-    saved = drag(steady(Flock.of(CONFIGURATION)).speed[0]) - 1.0
+    saved = drag(equilibrium(Flock.of(CONFIGURATION)).speed[0]) - 1.0
     assert -np.nansum(data.drag, axis=1) == pytest.approx(np.full(13, saved), abs=ROUNDING)
 
 
@@ -97,7 +97,7 @@ def test_all_birds_save_what_their_speed_costs_beyond_their_thrust(equal) -> Non
 def test_drags_of_neighbours_follow_the_papers_linear_profile(equal) -> None:
     pair = 2.0 * even_part(2.0 + TIP_SPACING, VORTEX_FRACTION, VORTEX_FRACTION)
     for birds in equal.sizes():
-        x = equal.states["nearest", birds].along[:, 0]
+        x = equal.states["nearest", birds].position[:, 0]
         i = np.arange(2, (birds + 1) // 2 + 1)
         integral = interaction_integral(
             x[i - 1] - x[i - 2], 2.0 + TIP_SPACING, VORTEX_FRACTION, VORTEX_FRACTION
@@ -107,11 +107,11 @@ def test_drags_of_neighbours_follow_the_papers_linear_profile(equal) -> None:
 
 def test_spacings_fall_towards_the_leader(equal) -> None:
     for (_, birds), state in equal.states.items():
-        spacing = np.diff(state.along[: (birds + 1) // 2, 0])
+        spacing = np.diff(state.position[: (birds + 1) // 2, 0])
         assert (spacing > 0.0).all()
         assert (np.diff(spacing) < 0.0).all()
         # The all-to-all state is found to within the rounding of forces over its stiffness.
-        assert state.along[:, 0] == pytest.approx(state.along[::-1, 0], abs=1e-9)
+        assert state.position[:, 0] == pytest.approx(state.position[::-1, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
@@ -137,9 +137,9 @@ def test_a_modified_flock_saves_what_each_birds_forces_ask_for(modified) -> None
 
 def test_a_longer_bird_flies_further_ahead_and_saves_less(modified) -> None:
     for bird in (1, 4):
-        shorter, same, longer = modified[bird].along[bird - 1]
+        shorter, same, longer = modified[bird].position[bird - 1]
         assert shorter < same < longer
-    shorter, same, longer = modified[7].along[0]
+    shorter, same, longer = modified[7].position[0]
     assert longer < same < shorter
     for bird, state in modified.items():
         shorter, same, longer = state.drag_reduction[bird - 1]
@@ -181,8 +181,8 @@ def test_tables_keep_every_digit(equal, modified) -> None:
     for row in table:
         bird, i = int(row["modified_bird"]), int(row["bird"]) - 1
         m = CASES[bird].index(float(row["span_ratio"]))
-        assert 2.0 * float(row["x_over_2b"]) == modified[bird].along[i, m]
-        assert 2.0 * float(row["y_over_2b"]) == modified[bird].across[i, m]
+        assert 2.0 * float(row["x_over_2b"]) == modified[bird].position[i, m]
+        assert 2.0 * float(row["y_over_2b"]) == modified[bird].lateral[i, m]
         assert float(row["drag_reduction"]) == modified[bird].drag_reduction[i, m]
 
 

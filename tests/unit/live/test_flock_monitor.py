@@ -11,6 +11,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.types import Grant, State
+from flock_sim.physics.flock_state import FlockState
 from flock_tools.live.flock_monitor import SILENT, View
 
 FLOCK = FlockConfiguration(birds=3, span_ratios=("1=0.9,1.0",), t_max=100.0)
@@ -49,14 +50,14 @@ def test_the_sample_is_what_metrics_say_of_the_step() -> None:
     observer = Observer()
     observer.view.hear_grant(grant(7))
     observer.hear(3, 1, 2, step=20)
-    position, speed, _, drag = values(20)
-    expected = measure(FLOCK, 20, position, speed, drag)
+    state = FlockState(20, 20.0, *values(20))
+    expected = measure(FLOCK, state)
     for m in range(2):
         sample = observer.view.sample({1}, m + 1)
         assert sample is not None
         assert sample.position == expected.position[m].tolist()
         assert sample.drag_reduction == expected.drag_reduction[m].tolist()
-        assert sample.speed == speed[:, m].tolist()
+        assert sample.speed == state.speed[:, m].tolist()
         assert (sample.step, sample.time, sample.end, sample.leader) == (20, 20.0, 100, 2)
         assert sample.hears == [[2], [1, 3], [2]]
     with pytest.raises(FlockError, match=r"--member 3: must be in 1\.\.2"):

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.reference.integrator import Recorded, Reference
+from flock_sim.physics.flock_state import FlockState
+from flock_sim.reference.integrator import Reference
 from support.network import Kind, Network, expected_states
 from support.random_links import random_links
 
@@ -34,7 +35,7 @@ def states(network: Network) -> dict[int, list[bytes]]:
     return {bird: log.states for bird, log in network.log.items()}
 
 
-def last(configuration: FlockConfiguration) -> Recorded:
+def last(configuration: FlockConfiguration) -> FlockState:
     return list(Reference(configuration).fly())[-1]
 
 

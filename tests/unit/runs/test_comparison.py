@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.types import ARRAYS, State
-from flock_sim.recording.run import Run, Snapshot
+from flock_sim.physics.flock_state import FlockState
+from flock_sim.recording.run import Run
 from flock_tools.runs import pairing
 from flock_tools.runs.comparison import Comparison, compare
 from support.flights import Change, keep, record
@@ -43,7 +44,7 @@ def compared(first: Path, second: Path, tolerance: float | None = None) -> Compa
         return compare(one, other, tolerance)
 
 
-def snapshots(path: Path) -> list[Snapshot]:
+def snapshots(path: Path) -> list[FlockState]:
     with Run(path) as run:
         return list(run.snapshots())
 

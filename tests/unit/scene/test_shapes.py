@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 import numpy as np
@@ -11,34 +12,35 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.types import ENCAPSULATION
 from flock_sim.physics import formation
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 from flock_tools.figures.bird_outline import RIGHT_HALF
 from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
 from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
-from flock_tools.scene.snapshot import Moment
+from flock_tools.scene.snapshot import Snapshot
 from flock_tools.scene.viewer import Frame
 
 RATIO = np.array([0.9, 1.0, 1.1, 1.0, 0.8])
 
 
-def moment(ratio: np.ndarray = RATIO, **changed: object) -> Moment:
+def snapshot(
+    ratio: np.ndarray = RATIO, stamp: tuple[int, int] = (1, 2), **changed: object
+) -> Snapshot:
+    """A snapshot of one flock; `changed` are fields of its state."""
     birds = len(ratio)
     configuration = FlockConfiguration(birds=birds, wing_span=1.6, min_drag_speed=17.0)
     scales = Scales.of(configuration)
-    values: dict[str, object] = {
-        "configuration": configuration,
-        "member": 0,
-        "members": 1,
-        "time": 20.0,
-        "stamp": (1, 2),
-        "position": 1000.0 - 1.5 * np.abs(np.arange(birds) - birds // 2),
-        "circulation": scales.circulation_min * ratio**2 / 1.2,
-        "interaction_drag": -scales.cruise_drag * np.linspace(0.0, 0.28, birds),
-        "span_ratio": ratio,
-    }
-    return Moment(**{**values, **changed})  # type: ignore[arg-type]
+    state = FlockState(
+        step=20,
+        time=20.0,
+        position=1000.0 - 1.5 * np.abs(np.arange(birds) - birds // 2),
+        speed=np.full(birds, 1.2),
+        circulation=scales.circulation_min * ratio**2 / 1.2,
+        interaction_drag=-scales.cruise_drag * np.linspace(0.0, 0.28, birds),
+    )
+    return Snapshot(configuration, 0, 1, stamp, replace(state, **changed), ratio)
 
 
 def group(shown: Scene, name: str) -> list[Shape]:
@@ -56,7 +58,7 @@ def test_a_bird_is_as_wide_as_its_outline_and_has_its_area() -> None:
 
 
 def test_birds_have_their_true_span_and_place_in_metres() -> None:
-    shown = moment()
+    shown = snapshot()
     birds = group(scene(shown), "birds")
     lateral = formation.lateral_positions(RATIO[:, np.newaxis])[:, 0]
     assert [shape.number for shape in birds] == [1, 2, 3, 4, 5]
@@ -68,7 +70,7 @@ def test_birds_have_their_true_span_and_place_in_metres() -> None:
 
 
 def test_birds_are_coloured_by_the_drag_they_save() -> None:
-    birds = group(scene(moment()), "birds")
+    birds = group(scene(snapshot()), "birds")
     for saved, shape in zip([0.0, 7.0, 14.0, 21.0, 28.0], birds, strict=True):
         expected = DRAG_SAVED(saved / 30.0)[:3] * SHADE[:, np.newaxis]  # 30 %: end of the scale
         # The table of colours has 256: rounding may take the next one.
@@ -77,7 +79,7 @@ def test_birds_are_coloured_by_the_drag_they_save() -> None:
 
 
 def test_labels_say_what_is_saved() -> None:
-    texts = [shape.text for shape in group(scene(moment()), "labels")]
+    texts = [shape.text for shape in group(scene(snapshot()), "labels")]
     assert texts == ["1\n0.0 %", "2\n7.0 %", "3\n14.0 %", "4\n21.0 %", "5\n28.0 %"]
 
 
@@ -98,8 +100,8 @@ def test_the_wake_of_one_bird_goes_down_inside_of_its_vortices_and_up_outside() 
 
 
 def test_ribbons_lie_side_by_side_and_end_in_the_plane() -> None:
-    shown = moment()
-    air = wake.Vortices(shown.along, shown.lateral, shown.span_ratio, shown.circulation)
+    shown = snapshot()
+    air = wake.Vortices(shown.along, shown.lateral, shown.span_ratio, shown.state.circulation)
     end = wake.plane(air).position
     point, upwash = wake.ribbons(air, end)
     left, right = point[:, 0, 0, 1], point[:, 0, -1, 1]
@@ -112,7 +114,7 @@ def test_ribbons_are_coloured_by_where_the_air_goes() -> None:
     down, up = np.array(UPWASH(0.0)), np.array(UPWASH(1.0))
     assert down[0] == down[1] or abs(down[0] - down[1]) < 0.02  # grey
     assert up[0] > 2.0 * up[1]  # red
-    (ribbon,) = group(scene(moment(np.ones(1))), "wakes")
+    (ribbon,) = group(scene(snapshot(np.ones(1))), "wakes")
     outside = np.abs(ribbon.points[:, 1]) > 0.8 * pi / 4.0
     redness = ribbon.colours[:, 0] - ribbon.colours[:, 1]
     assert (redness[outside] > 0.0).all()
@@ -120,7 +122,7 @@ def test_ribbons_are_coloured_by_where_the_air_goes() -> None:
 
 
 def test_the_plane_is_behind_the_flock_and_the_image_is_its_upwash_in_si_units() -> None:
-    shown = moment()
+    shown = snapshot()
     result = scene(shown)
     (cubes,) = group(result, "upwash")
     assert cubes.kind == Kind.CUBES
@@ -128,7 +130,7 @@ def test_the_plane_is_behind_the_flock_and_the_image_is_its_upwash_in_si_units()
     assert cubes.points[:, 0] == pytest.approx(x)
     rows, columns = result.upwash.shape
     assert len(cubes.points) == rows * columns
-    air = wake.Vortices(shown.along, shown.lateral, shown.span_ratio, shown.circulation)
+    air = wake.Vortices(shown.along, shown.lateral, shown.span_ratio, shown.state.circulation)
     for k in (0, 77, rows * columns - 1):
         place = cubes.points[k] / 0.8 * (1.0, -1.0, 1.0)
         assert result.upwash.flat[k] == pytest.approx(17.0 * float(air.upwash(place)), rel=1e-5)
@@ -138,7 +140,7 @@ def test_the_plane_is_behind_the_flock_and_the_image_is_its_upwash_in_si_units()
 
 
 def test_trails_show_the_way_in_the_formation() -> None:
-    shown = moment()
+    shown = snapshot()
     before = [shown.along - 2.0, shown.along - 1.0]
     trails = group(scene(shown, before), "trails")
     assert [trail.number for trail in trails] == [1, 2, 3, 4, 5]
@@ -151,9 +153,9 @@ def test_trails_show_the_way_in_the_formation() -> None:
 @pytest.mark.parametrize("lost", [[0], [2], [1, 3], [0, 1, 2, 3, 4]])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_birds_that_are_nowhere_are_left_out(lost: list[int], value: float) -> None:
-    position = moment().position.copy()
+    position = snapshot().state.position.copy()
     position[lost] = value
-    shown = scene(moment(position=position))
+    shown = scene(snapshot(position=position))
     there = [i + 1 for i in range(5) if i not in lost]
     assert [shape.number for shape in group(shown, "birds")] == there
     assert [shape.number for shape in group(shown, "wakes")] == there
@@ -165,9 +167,9 @@ def test_birds_that_are_nowhere_are_left_out(lost: list[int], value: float) -> N
 
 
 def test_the_plane_does_not_follow_a_bird_that_is_left_behind() -> None:
-    position = moment().position.copy()
+    position = snapshot().state.position.copy()
     position[0] -= 5000.0
-    (cubes,) = group(scene(moment(position=position)), "upwash")
+    (cubes,) = group(scene(snapshot(position=position)), "upwash")
     assert cubes.points[0, 0] > -10.0
 
 
@@ -186,7 +188,7 @@ def test_the_plane_does_not_follow_a_bird_that_is_left_behind() -> None:
 )
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_whatever_states_say_is_shown_or_left_out(changed: dict[str, object]) -> None:
-    told = moment(**changed)
-    frame = Frame(told, [told.along, moment().along], anew=True)
+    told = snapshot(**changed)
+    frame = Frame(told, [told.along, snapshot().along], anew=True)
     for data in (frame.markers, frame.image, frame.transform, frame.transforms):
         assert data.startswith(ENCAPSULATION)

@@ -10,7 +10,8 @@ import numpy as np
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.interaction import ahead_integral_and_slope, even_part
+from flock_sim.physics.flock_state import FlockState
+from flock_sim.physics.interaction import ahead_integral_and_slope, even_part, split_drag
 from flock_sim.physics.scaling import Scales
 
 STABLE_BELOW = 1e-4
@@ -54,27 +55,19 @@ class Metrics:
         return {name: plain(value) for name, value in vars(self).items()}
 
 
-def measure(
-    configuration: FlockConfiguration,
-    step: int,
-    position: FloatArray,
-    speed: FloatArray,
-    interaction_drag: FloatArray,
-) -> Metrics:
-    """Return the metrics of a flock at `step`; arrays of shape (birds, members), dimensionless."""
+def measure(configuration: FlockConfiguration, state: FlockState) -> Metrics:
+    """Return the metrics of a flock at `state`, of all members."""
     birds = configuration.birds
     leader = formation.leader(birds)
     with np.errstate(invalid="ignore", over="ignore"):
         # The mean of squared deviations is <U^2> - <U>^2 without its cancellation.
-        mean = speed.mean(axis=0)
-        deviation = np.sqrt(((speed - mean) ** 2).mean(axis=0))
-        spacing = np.diff(position, axis=0)
-        # 0.0 - drag, not -drag: a bird alone saves 0, not -0.
-        reduction = (0.0 - interaction_drag) / Scales.of(configuration).cruise_drag
+        mean = state.speed.mean(axis=0)
+        deviation = np.sqrt(((state.speed - mean) ** 2).mean(axis=0))
+        spacing = state.spacing
+        reduction = state.drag_reduction(Scales.of(configuration))
         left = spacing[: leader - 1]
         ordered = np.all(left[1:] < left[:-1], axis=0) & np.all(np.isfinite(left), axis=0)
-        finite = np.isfinite(position).all(axis=0) & np.isfinite(speed).all(axis=0)
-        relative = position - position[leader - 1]
+        relative = state.from_leader
         mean_reduction = reduction.mean(axis=0)
         profile = _profile_error(configuration, left)
     return Metrics(
@@ -82,12 +75,12 @@ def measure(
         members=configuration.members,
         coupling=configuration.coupling,
         dt=configuration.dt,
-        steps=step,
-        t_final=configuration.time(step),
+        steps=state.step,
+        t_final=configuration.time(state.step),
         leader=leader,
         mean_speed=mean,
         speed_std=deviation,
-        stable=[bool(ok) for ok in (deviation < STABLE_BELOW) & finite],
+        stable=[bool(ok) for ok in (deviation < STABLE_BELOW) & state.finite],
         spacing=spacing.T,
         position=relative.T,
         lateral=formation.lateral_positions(configuration.span_ratio).T,
@@ -115,11 +108,12 @@ def _profile_error(configuration: FlockConfiguration, left: FloatArray) -> list[
         half = formation.VORTEX_FRACTION * float(ratio[0])
         lateral = 2.0 * float(ratio[0]) + formation.TIP_SPACING
         # C = Gamma^2 E / (2 pi) and D_{i,i-1} = Gamma^2 I / (4 pi): their ratio is I / (2 E).
-        twice_even = 2.0 * even_part(lateral, half, half)
-        ahead = np.array(
-            [ahead_integral_and_slope(abs(x), lateral, half, half)[0] for x in left[:, m].tolist()]
-        )
-        share = np.where(left[:, m] > 0.0, twice_even - ahead, ahead) / twice_even
+        even = even_part(lateral, half, half)
+        integral = [
+            split_drag(x, 1.0, ahead_integral_and_slope(abs(x), lateral, half, half)[0], even)[0]
+            for x in left[:, m].tolist()
+        ]
+        share = np.array(integral) / (2.0 * even)
         gap = np.arange(1, len(left) + 1)
         errors.append(float(np.max(np.abs(share - (1.0 - gap / birds)))))
     return errors

@@ -18,9 +18,9 @@ from flock_sim.errors import FlockError
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.configuration.perturbation import Perturbation
+    from flock_sim.physics.flock_state import FlockState
     from flock_sim.recording.output_directory import Output
     from flock_sim.recording.row_assembler import Row
-    from flock_sim.reference.integrator import Recorded
 
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
@@ -110,7 +110,7 @@ def _integrate(
             show(recorded.step)
 
 
-def row(configuration: FlockConfiguration, recorded: Recorded) -> Row:
+def row(configuration: FlockConfiguration, recorded: FlockState) -> Row:
     """Return a recorded step as the messages that a flock of nodes would have sent."""
     from flock_sim.messages.types import State, Time, Wing
     from flock_sim.recording.row_assembler import Row

@@ -141,6 +141,12 @@ class Scales:
             return np.asarray(np.sqrt(ratio * (square + np.sqrt(square * square - 1.0))))
 
 
+def drag_reduction(interaction_drag: FloatArray, cruise_drag: float) -> FloatArray:
+    """Return eta_j = -(sum_i D_ij) / D_0; both drags in one unit. D_0 is `Scales.cruise_drag`."""
+    # 0.0 - drag, not -drag: a bird alone saves 0, not -0.
+    return (0.0 - interaction_drag) / cruise_drag
+
+
 @dataclass(frozen=True)
 class BirdCoefficients:
     """The coefficients of one bird's equation of motion, of shape (members,). Eq. (scaling)."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -22,6 +21,7 @@ from flock_sim.messages.epochs import in_order
 from flock_sim.messages.types import ARRAYS
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.flight_bag import checked_push
 from flock_sim.recording.flight_writer import (
     CONFIGURATION_RECORD,
@@ -31,18 +31,6 @@ from flock_sim.recording.flight_writer import (
 )
 
 Message = TypeVar("Message", bound=messages.Message)
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole flock at one recorded step; arrays of shape (birds, members), dimensionless."""
-
-    step: int
-    time: float
-    position: FloatArray
-    speed: FloatArray
-    circulation: FloatArray
-    interaction_drag: FloatArray
 
 
 class Run:
@@ -191,7 +179,7 @@ class Run:
                 )
         return [push for number in in_order(found) for push in found[number]]
 
-    def snapshots(self, start: int | None = None) -> Iterator[Snapshot]:
+    def snapshots(self, start: int | None = None) -> Iterator[FlockState]:
         """Yield every complete recorded step, from simulated time `start` in ns."""
         row: dict[int, messages.State] = {}
         for bird, state in self.states(start):
@@ -202,7 +190,7 @@ class Run:
                 yield self._snapshot(row)
                 row = {}
 
-    def at(self, time: float | None = None) -> Snapshot:
+    def at(self, time: float | None = None) -> FlockState:
         """Return the flock at `time` in b / U_min; at the last recorded step if None.
 
         Raises FlockError if no step was recorded at this time.
@@ -225,16 +213,9 @@ class Run:
 
     def metrics(self, time: float | None = None) -> Metrics:
         """Return the metrics at `time` in b / U_min; at the last recorded step if None."""
-        snapshot = self.at(time)
-        return measure(
-            self.configuration,
-            snapshot.step,
-            snapshot.position,
-            snapshot.speed,
-            snapshot.interaction_drag,
-        )
+        return measure(self.configuration, self.at(time))
 
-    def _last(self) -> Snapshot:
+    def _last(self) -> FlockState:
         """Return the last complete row; in a bag that was cut short, a few rows may follow it."""
         end = self.bag.last_time
         back, more = 0, self.configuration.stamp(64 * self.configuration.record_every) + 1
@@ -247,7 +228,7 @@ class Run:
             back, more = back + more, 2 * more
         raise FlockError(f"{self.path}: no recorded step is complete; fly again")
 
-    def _snapshot(self, row: dict[int, messages.State]) -> Snapshot:
+    def _snapshot(self, row: dict[int, messages.State]) -> FlockState:
         states = [row[bird] for bird in sorted(row)]
         members = self.configuration.members
         if any(len(getattr(state, name)) != members for state in states for name in ARRAYS):
@@ -255,8 +236,4 @@ class Run:
                 f"{self.path}: the states of step {states[0].step} have not the {members} "
                 "members of the configuration; take another copy of the bag"
             )
-        return Snapshot(
-            states[0].step,
-            states[0].time,
-            *(np.stack([getattr(state, name) for state in states]) for name in ARRAYS),
-        )
+        return FlockState.of(states)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,23 +15,13 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.flock import Flock
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.reference.flock_kernel import forces, move
 from flock_sim.reference.link_kernels import FlockLinks
 
 RECORDED = 4
 """Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """The states of the whole flock at one recorded step; arrays of shape (birds, members)."""
-
-    step: int
-    position: FloatArray
-    speed: FloatArray
-    circulation: FloatArray
-    interaction_drag: FloatArray
 
 
 class Reference:
@@ -70,18 +59,19 @@ class Reference:
             perturbation.check(birds, members, configuration.steps)
         self._push()
 
-    def fly(self, rows: int = 1024) -> Iterator[Recorded]:
+    def fly(self, rows: int = 1024) -> Iterator[FlockState]:
         """Integrate to the end, yielding every recorded state; at most `rows` are held at once."""
-        steps, every = self.configuration.steps, self.configuration.record_every
+        configuration = self.configuration
+        steps, every = configuration.steps, configuration.record_every
         while True:
             count = min(rows * every, steps - self.step)
             first = -(-self.step // every) * every
-            recorded = self.advance(count)
-            for k, state in enumerate(recorded):
-                yield Recorded(first + k * every, *state)
+            for k, arrays in enumerate(self.advance(count)):
+                step = first + k * every
+                yield FlockState(step, configuration.time(step), *arrays)
             if self.step == steps:
                 if steps % every == 0:
-                    yield Recorded(steps, *self.observe())
+                    yield FlockState(steps, configuration.time(steps), *self.observe())
                 return
 
     def advance(self, steps: int) -> FloatArray:

@@ -12,6 +12,7 @@ from flock_sim.errors import RunFailed
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
+from flock_sim.physics.scaling import drag_reduction
 from flock_sim.theory import nearest
 from flock_sim.theory.steady_speed import balances
 
@@ -26,6 +27,8 @@ CLOSEST_START = 0.02
 class Equilibrium:
     """The steady states of an ensemble; nan if none exists."""
 
+    span_ratio: FloatArray
+    """lambda_i, shape (birds, members)."""
     exists: npt.NDArray[np.bool_]
     """Whether the flock can fly in formation, shape (members,)."""
     speed: FloatArray
@@ -51,6 +54,17 @@ class Equilibrium:
     """
     drag_reduction: FloatArray
     """eta_i = -(sum_j D_ji) / D_0, shape (birds, members)."""
+
+    @property
+    def position(self) -> FloatArray:
+        """x_i from the leader, shape (birds, members), in b."""
+        position = formation.positions(self.spacing)
+        return np.asarray(position - position[formation.leader(len(position)) - 1])
+
+    @property
+    def lateral(self) -> FloatArray:
+        """y_i from the leader, shape (birds, members), in b."""
+        return formation.lateral_positions(self.span_ratio)
 
     @property
     def weakest_gap(self) -> npt.NDArray[np.int64]:
@@ -88,14 +102,14 @@ def _equilibrium(flock: Flock) -> Equilibrium:
     spacing[:, ~exists] = np.nan
     ratio = flock.scales.cruise_ratio
     return Equilibrium(
+        span_ratio=flock.span_ratio,
         exists=exists,
         speed=np.sqrt(known),
         balanced_speed=np.sqrt(square),
         spacing=spacing,
         share=share,
         margin=margin,
-        # 0.0 - balance, not -balance: a bird alone saves 0, not -0.
-        drag_reduction=(0.0 - balances(flock.span_ratio, known, ratio)) / (2.0 * ratio),
+        drag_reduction=drag_reduction(balances(flock.span_ratio, known, ratio), 2.0 * ratio),
     )
 
 

@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator, NullFormatter
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.aerodynamics import interaction_integral
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.dynamics import drag_of_pair
 from flock_sim.physics.flock import Flock
-from flock_sim.physics.interaction import PER_FOUR_PI
-from flock_tools.figures.steady_layout import steady
+from flock_sim.theory.equilibrium import equilibrium
 from flock_tools.figures.style import BLUE, COLUMN, GREEN, PRINT_STYLE, SMALL, VERMILLION
 from flock_tools.figures.table import Table
 
@@ -57,24 +56,25 @@ class Contributions:
 def contributions(configuration: FlockConfiguration = CONFIGURATION) -> Contributions:
     """Return the contributions in the steady state of the first member of `configuration`."""
     flock = Flock.of(configuration)
-    state = steady(flock)
-    along, across = state.along[:, 0], state.across[:, 0]
+    state = equilibrium(flock)
+    position, half_span = state.position[:, 0], flock.half_span[:, 0]
     circulation = flock.coefficients[:, 4, 0] / state.speed[0]
-    half_span = flock.half_span[:, 0]
-    birds = flock.birds
-    drag = np.full((birds, birds - 1), np.nan)
+    drag = np.full((flock.birds, flock.birds - 1), np.nan)
     neighbours = np.zeros_like(drag)
-    for i in range(birds):
-        for k in range(birds):
-            if k == i:
-                continue
-            integral = interaction_integral(
-                along[k] - along[i], across[k] - across[i], half_span[k], half_span[i]
-            )
-            order = abs(k - i) - 1
-            exerted = PER_FOUR_PI * circulation[k] * circulation[i] * float(integral)
-            drag[i, order] = np.nansum([drag[i, order], exerted / flock.scales.cruise_drag])
-            neighbours[i, order] += 1
+    for k, (i, j) in enumerate(flock.pairs):
+        exerted = drag_of_pair(
+            position[j] - position[i],
+            flock.lateral[k, 0],
+            half_span[i],
+            half_span[j],
+            flock.even[k, 0],
+            circulation[i],
+            circulation[j],
+        )
+        order = j - i - 1
+        for bird, by_other in zip((i, j), exerted, strict=True):
+            drag[bird, order] = np.nansum([drag[bird, order], by_other / flock.scales.cruise_drag])
+            neighbours[bird, order] += 1
     return Contributions(drag, neighbours)
 
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import MultipleLocator
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
-from flock_tools.figures.steady_layout import Steady, steady
+from flock_sim.theory.equilibrium import Equilibrium, equilibrium
 from flock_tools.figures.style import BLUE, INK, PAGE, PRINT_STYLE, VERMILLION
 from flock_tools.figures.table import Table
 
@@ -33,10 +33,12 @@ LOOKS: tuple[dict[str, Any], ...] = (
 """Styles for lambda below 1, 1 and above 1."""
 
 
-def modified_flocks() -> dict[int, Steady]:
+def modified_flocks() -> dict[int, Equilibrium]:
     """Return the steady states for each modified bird. Their members are the values of lambda."""
     return {
-        bird: steady(Flock.of(FlockConfiguration(birds=BIRDS, span_ratios=(_entry(bird, ratios),))))
+        bird: equilibrium(
+            Flock.of(FlockConfiguration(birds=BIRDS, span_ratios=(_entry(bird, ratios),)))
+        )
         for bird, ratios in CASES.items()
     }
 
@@ -45,20 +47,20 @@ def _entry(bird: int, ratios: Sequence[float]) -> str:
     return f"{bird}={','.join(f'{ratio:g}' for ratio in ratios)}"
 
 
-def modified_table(data: dict[int, Steady]) -> Table:
+def modified_table(data: dict[int, Equilibrium]) -> Table:
     """Return the data of all panels, one bird of a flock per row."""
     rows: list[Sequence[object]] = []
     for modified, state in data.items():
+        along, across = 0.5 * state.position, 0.5 * state.lateral
         for m, ratio in enumerate(CASES[modified]):
             for i in range(BIRDS):
-                place = (0.5 * state.along[i, m], 0.5 * state.across[i, m])
-                saved = state.drag_reduction[i, m]
+                place, saved = (along[i, m], across[i, m]), state.drag_reduction[i, m]
                 rows.append([modified, ratio, i + 1, *place, saved, state.speed[m]])
     columns = ("modified_bird", "span_ratio", "bird", "x_over_2b", "y_over_2b")
     return Table((*columns, "drag_reduction", "speed_over_Umin"), rows)
 
 
-def draw_modified(data: dict[int, Steady]) -> Figure:
+def draw_modified(data: dict[int, Equilibrium]) -> Figure:
     """Return figure 5."""
     with mpl.rc_context(PRINT_STYLE):
         figure = Figure(figsize=(PAGE, 4.2), layout="constrained")
@@ -68,7 +70,9 @@ def draw_modified(data: dict[int, Steady]) -> Figure:
             for m, (ratio, look) in enumerate(zip(CASES[modified], LOOKS)):
                 style = {**look, "markerfacecolor": "white"}
                 name = f"$\\lambda_{{{modified}}}={ratio:g}$"
-                upper.plot(0.5 * state.across[:, m], 0.5 * state.along[:, m], label=name, **style)
+                upper.plot(
+                    0.5 * state.lateral[:, m], 0.5 * state.position[:, m], label=name, **style
+                )
                 lower.plot(np.arange(1, BIRDS + 1), state.drag_reduction[:, m], label=name, **style)
             upper.set(title=f"({'abc'[column]})", xlabel="lateral position $y_i/2b$")
             lower.set(title=f"({'def'[column]})", xlabel="bird $i$")
@@ -81,9 +85,9 @@ def draw_modified(data: dict[int, Steady]) -> Figure:
     return figure
 
 
-def _frame(axes: Axes, state: Steady, bird: int) -> None:
+def _frame(axes: Axes, state: Equilibrium, bird: int) -> None:
     """Draw a dashed box round all positions of the modified bird."""
-    across, along = 0.5 * state.across[bird - 1], 0.5 * state.along[bird - 1]
+    across, along = 0.5 * state.lateral[bird - 1], 0.5 * state.position[bird - 1]
     left, right = across.min() - 0.4, across.max() + 0.4
     bottom, top = along.min() - 0.3, along.max() + 0.3
     axes.add_patch(

@@ -18,7 +18,7 @@ from flock_sim.configuration.choices import COUPLINGS
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
-from flock_tools.figures.steady_layout import Steady, steady
+from flock_sim.theory.equilibrium import Equilibrium, equilibrium
 from flock_tools.figures.style import (
     BLUE,
     COLUMN,
@@ -50,7 +50,7 @@ Mean = Callable[[str, Sequence[int]], FloatArray]
 class SteadyFlocks:
     """Steady states of homogeneous flocks, by coupling and number of birds."""
 
-    states: dict[tuple[str, int], Steady]
+    states: dict[tuple[str, int], Equilibrium]
 
     def sizes(self) -> list[int]:
         """Return the numbers of birds, ascending."""
@@ -70,7 +70,7 @@ class SteadyFlocks:
         rows: list[Sequence[object]] = []
         for (coupling, birds), state in self.states.items():
             if birds in SHOWN:
-                places = zip(0.5 * state.along[:, 0], 0.5 * state.across[:, 0])
+                places = zip(0.5 * state.position[:, 0], 0.5 * state.lateral[:, 0])
                 rows += [[coupling, birds, i, x, y] for i, (x, y) in enumerate(places, start=1)]
         return Table(("coupling", "birds", "bird", "x_over_2b", "y_over_2b"), rows)
 
@@ -86,7 +86,7 @@ class SteadyFlocks:
 def steady_flocks(sizes: Sequence[int] = SIZES) -> SteadyFlocks:
     """Return the steady states of flocks of these sizes."""
     states = {
-        (coupling, birds): steady(Flock.of(FlockConfiguration(birds=birds, coupling=coupling)))
+        (coupling, birds): equilibrium(Flock.of(FlockConfiguration(birds=birds, coupling=coupling)))
         for coupling in COUPLINGS
         for birds in sizes
     }
@@ -114,8 +114,8 @@ def _configurations(axes: Axes, data: SteadyFlocks) -> None:
         for coupling, line in LINES.items():
             state = data.states[coupling, birds]
             axes.plot(
-                0.5 * state.across[:, 0],
-                0.5 * state.along[:, 0],
+                0.5 * state.lateral[:, 0],
+                0.5 * state.position[:, 0],
                 color=colour,
                 linestyle=line,
                 marker=symbol,

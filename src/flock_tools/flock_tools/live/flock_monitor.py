@@ -14,6 +14,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.types import ARRAYS, Grant, State
 from flock_sim.physics import formation
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 
 SILENT = 2.0
@@ -146,26 +147,22 @@ class View:
     def _sampled(self, row: list[State], member: int, flown: FlockConfiguration | None) -> Sample:
         birds = len(row)
         members = len(row[0].position)
-        m = member - 1
-        leader = formation.leader(birds)
-        drag = [float(state.interaction_drag[m]) for state in row]
+        state = FlockState.of(row).member(member - 1)
         now = self._now()
         return Sample(
             birds=birds,
             members=members,
             member=member,
-            leader=leader,
-            step=row[0].step,
-            time=row[0].time,
+            leader=formation.leader(birds),
+            step=state.step,
+            time=state.time,
             end=self._grant.end if flown and self._grant else None,
             coupling=flown.coupling if flown else None,
             rate=self._rate(now),
-            position=[float(state.position[m] - row[leader - 1].position[m]) for state in row],
-            speed=[float(state.speed[m]) for state in row],
-            interaction_drag=drag,
-            drag_reduction=[(0.0 - value) / Scales.of(flown).cruise_drag for value in drag]
-            if flown
-            else None,
+            position=state.from_leader.tolist(),
+            speed=state.speed.tolist(),
+            interaction_drag=state.interaction_drag.tolist(),
+            drag_reduction=state.drag_reduction(Scales.of(flown)).tolist() if flown else None,
             age=[now - self._heard[bird] for bird in range(1, birds + 1)],
             hears=[
                 list(formation.neighbours(bird, birds, flown.coupling))

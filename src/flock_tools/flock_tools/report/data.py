@@ -16,7 +16,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
-from flock_sim.physics.scaling import Scales
+from flock_sim.physics.scaling import Scales, drag_reduction
 from flock_sim.recording.flight_writer import CONFIGURATION_RECORD
 from flock_sim.recording.run import Run
 from flock_sim.theory import nearest
@@ -173,7 +173,7 @@ def history(
             for name in ("position", "speed", "interaction_drag")
         )
         with np.errstate(invalid="ignore", over="ignore"):
-            reduction = (0.0 - drag) / Scales.of(configuration).cruise_drag
+            reduction = drag_reduction(drag, Scales.of(configuration).cruise_drag)
             series = [
                 speed,
                 np.diff(position, axis=1),

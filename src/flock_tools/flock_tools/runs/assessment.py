@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from flock_sim.physics import formation
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.theory.equilibrium import Equilibrium, equilibrium
 from flock_sim.physics.flock import Flock
@@ -82,6 +81,6 @@ class Assessment:
             "leading_eigenvalue": [[value.real, value.imag] for value in self.leading_eigenvalue],
             "weakest_gap": [gap or None for gap in self.weakest_gap],
             "parts": self.parts,
-            "lateral": formation.lateral_positions(configuration.span_ratio).T,
+            "lateral": state.lateral.T,
         }
         return {name: plain(value) for name, value in facts.items()}

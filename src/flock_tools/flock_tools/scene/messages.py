@@ -14,7 +14,7 @@ import numpy as np
 from flock_sim.messages.types import ENCAPSULATION, FRAME, align, put
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.scene.shapes import Kind, Scene, Shape
-from flock_tools.scene.snapshot import Moment
+from flock_tools.scene.snapshot import Snapshot
 
 WORLD = "world"
 """The frame in which the air is at rest. Its x is the position in the birds' states."""
@@ -35,9 +35,9 @@ def markers(scene: Scene, anew: bool) -> bytes:
     data = bytearray(ENCAPSULATION)
     put(data, "I", len(scene.shapes) + anew)
     if anew:
-        _put_marker(data, scene.moment.stamp, Shape("", 0, Kind.LINE), DELETE_ALL)
+        _put_marker(data, scene.snapshot.stamp, Shape("", 0, Kind.LINE), DELETE_ALL)
     for shape in scene.shapes:
-        _put_marker(data, scene.moment.stamp, shape, ADD)
+        _put_marker(data, scene.snapshot.stamp, shape, ADD)
     return bytes(data)
 
 
@@ -45,7 +45,7 @@ def image(scene: Scene) -> bytes:
     """Return an Image of the upwash behind the flock, seen from behind."""
     rows, columns = scene.upwash.shape
     data = bytearray(ENCAPSULATION)
-    _put_header(data, scene.moment.stamp, FRAME)
+    _put_header(data, scene.snapshot.stamp, FRAME)
     _put_all(data, "II", (rows, columns))
     put(data, "text", ENCODING)
     _put_all(data, "BI", (0, 4 * columns))
@@ -54,25 +54,25 @@ def image(scene: Scene) -> bytes:
     return bytes(data)
 
 
-def transform(moment: Moment) -> bytes:
+def transform(snapshot: Snapshot) -> bytes:
     """Return a TransformStamped from FRAME, which moves with the flock, to WORLD."""
     data = bytearray(ENCAPSULATION)
-    _put_transform(data, moment)
+    _put_transform(data, snapshot)
     return bytes(data)
 
 
-def transforms(moment: Moment) -> bytes:
+def transforms(snapshot: Snapshot) -> bytes:
     """Return the same as a TFMessage, the type of /tf."""
     data = bytearray(ENCAPSULATION)
     put(data, "I", 1)
-    _put_transform(data, moment)
+    _put_transform(data, snapshot)
     return bytes(data)
 
 
-def _put_transform(data: bytearray, moment: Moment) -> None:
-    _put_header(data, moment.stamp, WORLD)
+def _put_transform(data: bytearray, snapshot: Snapshot) -> None:
+    _put_header(data, snapshot.stamp, WORLD)
     put(data, "text", FRAME)
-    _put_all(data, 7 * "d", (moment.origin * moment.metre, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    _put_all(data, 7 * "d", (snapshot.origin * snapshot.metre, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
 
 
 def _put_header(data: bytearray, stamp: tuple[int, int], frame: str) -> None:

@@ -16,13 +16,14 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from flock_sim.messages.types import BILLION
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
 from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
-from flock_tools.scene.snapshot import Moment
+from flock_tools.scene.snapshot import Snapshot
 
 WIDTH = 10.0
 """Width of the picture, in inches."""
@@ -48,24 +49,13 @@ def scene_of(run: Run, time: float | None, m: int) -> Scene:
 
     Raises FlockError if nothing was recorded at that time.
     """
-    snapshot = run.at(time)
-    configuration = run.configuration
-    stamp = configuration.stamp(snapshot.step)
-    moment = Moment(
-        configuration=configuration,
-        member=m,
-        members=configuration.members,
-        time=snapshot.time,
-        stamp=divmod(stamp, 1_000_000_000),
-        position=snapshot.position[:, m],
-        circulation=snapshot.circulation[:, m],
-        interaction_drag=snapshot.interaction_drag[:, m],
-        span_ratio=configuration.span_ratio[:, m],
-    )
-    rows = snapshot.step // configuration.record_every + 1
-    history = read(run, end=snapshot.time, stride=-(-rows // MOST_TRAIL)).position[..., m]
+    configuration, state = run.configuration, run.at(time)
+    stamp = divmod(configuration.stamp(state.step), BILLION)
+    snapshot = Snapshot.of(configuration, state, configuration.span_ratio, m, stamp)
+    rows = state.step // configuration.record_every + 1
+    history = read(run, end=state.time, stride=-(-rows // MOST_TRAIL)).position[..., m]
     leader = history.sel(bird=formation.leader(configuration.birds))
-    return scene(moment, list((history - leader).transpose("time", "bird").to_numpy()))
+    return scene(snapshot, list((history - leader).transpose("time", "bird").to_numpy()))
 
 
 def draw_scene(shown: Scene) -> Figure:
@@ -92,8 +82,10 @@ def draw_scene(shown: Scene) -> Figure:
                 place[0], place[1], shape.text, ha="center", va="bottom", fontsize=7.0
             )
             label.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-        axes.text(0.02, 0.98, _title(shown.moment), transform=axes.transAxes, va="top", fontsize=10)
-        saved = ScalarMappable(saved_scale(shown.moment.saved), DRAG_SAVED)
+        axes.text(
+            0.02, 0.98, _title(shown.snapshot), transform=axes.transAxes, va="top", fontsize=10
+        )
+        saved = ScalarMappable(saved_scale(shown.snapshot.saved), DRAG_SAVED)
         _bar(figure, 0.07, saved, "drag reduction $\\eta_i$ (%)")
         air = ScalarMappable(Normalize(-shown.most_upwash, shown.most_upwash), UPWASH)
         _bar(figure, 0.57, air, "air goes up (m/s)")
@@ -188,9 +180,10 @@ def _face_colours(shape: Shape) -> FloatArray:
     return shape.colours
 
 
-def _title(moment: Moment) -> str:
-    name = flock_name(moment.configuration, moment.member)
-    return f"{name}\nt = {moment.time:g}:  mean drag reduction {np.mean(moment.saved):.1f} %"
+def _title(snapshot: Snapshot) -> str:
+    name = flock_name(snapshot.configuration, snapshot.member)
+    saved = np.mean(snapshot.saved)
+    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
 
 
 def _bar(figure: Figure, left: float, colours: ScalarMappable, name: str) -> None:

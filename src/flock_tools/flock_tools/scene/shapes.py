@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flock in space, as the coloured shapes in SI units that `view` shows.
 
-The frame of the shapes moves with the flock. Its origin is that of the moment, usually the
+The frame of the shapes moves with the flock. Its origin is that of the snapshot, usually the
 leader's wing. In m, x is forward, y left and z up.
 """
 
@@ -20,7 +20,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.style import DRAG_SAVED, saved_scale
 from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
-from flock_tools.scene.snapshot import Moment
+from flock_tools.scene.snapshot import Snapshot
 
 UPWASH = mpl.colormaps["RdGy_r"]
 """Downward air is grey. Upward air, which saves drag, is red. No bird has these colours."""
@@ -60,9 +60,9 @@ class Shape:
 
 @dataclass(frozen=True)
 class Scene:
-    """The shapes and the upwash of a moment."""
+    """The shapes and the upwash of a snapshot."""
 
-    moment: Moment
+    snapshot: Snapshot
     shapes: list[Shape]
     upwash: npt.NDArray[np.float32]
     """Upward velocity on the plane behind the flock, in m/s, (rows, columns) from the top left."""
@@ -70,30 +70,30 @@ class Scene:
     """End of the colour scale of upwash, in m/s: twice the downwash far behind one bird."""
 
 
-def scene(moment: Moment, trail: Sequence[FloatArray] = ()) -> Scene:
-    """Return the scene of `moment`. `trail` has earlier values of `along`, oldest first."""
-    metre, speed = moment.metre, moment.configuration.min_drag_speed
-    known = moment.known
-    shapes = list(_birds(moment))
-    shapes += _trails(moment, trail)
-    nothing = Scene(moment, shapes, np.zeros((1, 1), dtype=np.float32), 0.0)
+def scene(snapshot: Snapshot, trail: Sequence[FloatArray] = ()) -> Scene:
+    """Return the scene of `snapshot`. `trail` has earlier values of `along`, oldest first."""
+    metre, speed = snapshot.metre, snapshot.configuration.min_drag_speed
+    known = snapshot.known
+    shapes = list(_birds(snapshot))
+    shapes += _trails(snapshot, trail)
+    nothing = Scene(snapshot, shapes, np.zeros((1, 1), dtype=np.float32), 0.0)
     if not known.any():
         return nothing
     air = wake.Vortices(
-        moment.along[known],
-        moment.lateral[known],
-        moment.span_ratio[known],
-        moment.circulation[known],
+        snapshot.along[known],
+        snapshot.lateral[known],
+        snapshot.span_ratio[known],
+        snapshot.state.circulation[known],
     )
     most = 2.0 * abs(air.far_downwash)
     if not 0.0 < most < np.inf:  # impossible in a flight, but messages may have it
         return nothing
     scale = Normalize(-most, most, clip=True)
     plane = wake.plane(air)
-    shapes += _ribbons(moment, air, plane.position, scale)
+    shapes += _ribbons(snapshot, air, plane.position, scale)
     shapes.append(_plane(plane, metre, scale))
-    shapes += _legends(moment, most * speed)
-    return Scene(moment, shapes, (speed * plane.upwash).astype(np.float32), most * speed)
+    shapes += _legends(snapshot, most * speed)
+    return Scene(snapshot, shapes, (speed * plane.upwash).astype(np.float32), most * speed)
 
 
 def in_metres(point: FloatArray, metre: float) -> FloatArray:
@@ -101,16 +101,16 @@ def in_metres(point: FloatArray, metre: float) -> FloatArray:
     return np.asarray(metre * point * (1.0, -1.0, 1.0))
 
 
-def _birds(moment: Moment) -> Iterator[Shape]:
+def _birds(snapshot: Snapshot) -> Iterator[Shape]:
     """Yield each bird and its label."""
-    scale = saved_scale(moment.saved)
-    face = DRAG_SAVED(np.repeat(scale(moment.saved)[:, np.newaxis], len(SHADE), axis=1))
+    scale = saved_scale(snapshot.saved)
+    face = DRAG_SAVED(np.repeat(scale(snapshot.saved)[:, np.newaxis], len(SHADE), axis=1))
     face[..., :3] *= SHADE[:, np.newaxis]
-    face[~np.isfinite(moment.saved)] = 1.0
-    for i in np.flatnonzero(moment.known):
-        size = float(moment.span_ratio[i] * moment.metre)
-        place = np.array([moment.along[i], moment.lateral[i], 0.0])
-        x, y, _ = (float(value) for value in in_metres(place, moment.metre))
+    face[~np.isfinite(snapshot.saved)] = 1.0
+    for i in np.flatnonzero(snapshot.known):
+        size = float(snapshot.span_ratio[i] * snapshot.metre)
+        place = np.array([snapshot.along[i], snapshot.lateral[i], 0.0])
+        x, y, _ = (float(value) for value in in_metres(place, snapshot.metre))
         yield Shape(
             "birds",
             int(i) + 1,
@@ -123,47 +123,49 @@ def _birds(moment: Moment) -> Iterator[Shape]:
             "labels",
             int(i) + 1,
             Kind.TEXT,
-            origin=(x, y, 0.5 * moment.metre),
-            scale=(0.0, 0.0, 0.3 * moment.metre),
-            text=f"{i + 1}\n{moment.saved[i]:.1f} %",
+            origin=(x, y, 0.5 * snapshot.metre),
+            scale=(0.0, 0.0, 0.3 * snapshot.metre),
+            text=f"{i + 1}\n{snapshot.saved[i]:.1f} %",
         )
 
 
-def _trails(moment: Moment, trail: Sequence[FloatArray]) -> Iterator[Shape]:
+def _trails(snapshot: Snapshot, trail: Sequence[FloatArray]) -> Iterator[Shape]:
     """Yield the path of each bird in the formation. It fades into the past."""
-    path = np.array([*trail, moment.along])
+    path = np.array([*trail, snapshot.along])
     if len(path) < 2:
         return
     fading = np.tile(INK, (len(path), 1))
     fading[:, 3] = np.linspace(0.05, 0.9, len(path))
-    for i in np.flatnonzero(moment.known):
+    for i in np.flatnonzero(snapshot.known):
         there = np.isfinite(path[:, i])
         if not there.any():
             continue
         point = np.zeros((int(there.sum()), 3))
         point[:, 0] = path[there, i]
-        point[:, 1] = moment.lateral[i]
+        point[:, 1] = snapshot.lateral[i]
         yield Shape(
             "trails",
             int(i) + 1,
             Kind.LINE,
-            scale=(0.04 * moment.metre, 0.0, 0.0),
-            points=in_metres(point, moment.metre),
+            scale=(0.04 * snapshot.metre, 0.0, 0.0),
+            points=in_metres(point, snapshot.metre),
             colours=fading[there],
         )
 
 
-def _ribbons(moment: Moment, air: wake.Vortices, end: float, scale: Normalize) -> Iterator[Shape]:
+def _ribbons(
+    snapshot: Snapshot, air: wake.Vortices, end: float, scale: Normalize
+) -> Iterator[Shape]:
     """Yield the wake of each bird, coloured by upwash. It fades away from the bird."""
     point, upwash = wake.ribbons(air, end)
     colour = UPWASH(scale(upwash))
     colour[..., 3] = (0.9 - 0.5 * wake.ALONG)[:, np.newaxis]
-    for k, i in enumerate(np.flatnonzero(moment.known)):
+    for k, i in enumerate(np.flatnonzero(snapshot.known)):
         yield Shape(
             "wakes",
             int(i) + 1,
             Kind.TRIANGLES,
-            points=in_metres(_triangles(point[k]), moment.metre),
+            points=in_metres(_triangles(point[k]), snapshot.metre),
             colours=_triangles(colour[k]),
         )
 
@@ -189,26 +191,26 @@ def _plane(plane: wake.Plane, metre: float, scale: Normalize) -> Shape:
     )
 
 
-def _legends(moment: Moment, most: float) -> Iterator[Shape]:
+def _legends(snapshot: Snapshot, most: float) -> Iterator[Shape]:
     """Yield the title and the colour scales; `most` is the end of the scale of air, in m/s."""
-    front = 2.0 + float(moment.along[moment.known].max())
-    birds = len(moment.position)
-    name = f"{birds} bird{'s' * (birds > 1)}, t = {moment.time:g} b/U_min"
-    if moment.members > 1:
-        name += f", member {moment.member + 1} of {moment.members}"
-    saved = float(np.mean(moment.saved))
-    yield _text(moment, 0, (front + 1.6, 0.0), f"{name}\nmean drag saved {saved:.1f} %", 0.5)
-    scale = saved_scale(moment.saved)
+    front = 2.0 + float(snapshot.along[snapshot.known].max())
+    birds = len(snapshot.state.position)
+    name = f"{birds} bird{'s' * (birds > 1)}, t = {snapshot.state.time:g} b/U_min"
+    if snapshot.members > 1:
+        name += f", member {snapshot.member + 1} of {snapshot.members}"
+    saved = float(np.mean(snapshot.saved))
+    yield _text(snapshot, 0, (front + 1.6, 0.0), f"{name}\nmean drag saved {saved:.1f} %", 0.5)
+    scale = saved_scale(snapshot.saved)
     yield from _legend(
-        moment, 1, front + 0.6, DRAG_SAVED, "drag saved", f"{scale.vmin:g} %", f"{scale.vmax:g} %"
+        snapshot, 1, front + 0.6, DRAG_SAVED, "drag saved", f"{scale.vmin:g} %", f"{scale.vmax:g} %"
     )
     yield from _legend(
-        moment, 2, front, UPWASH, "air", f"down {most:.1f} m/s", f"up {most:.1f} m/s"
+        snapshot, 2, front, UPWASH, "air", f"down {most:.1f} m/s", f"up {most:.1f} m/s"
     )
 
 
 def _legend(
-    moment: Moment, number: int, along: float, colours: Colormap, name: str, low: str, high: str
+    snapshot: Snapshot, number: int, along: float, colours: Colormap, name: str, low: str, high: str
 ) -> Iterator[Shape]:
     """Yield a colour scale of 4 b, across the flight in front of it."""
     across = 4.0 * LEGEND - 2.0
@@ -217,21 +219,23 @@ def _legend(
         "legend",
         number,
         Kind.CUBES,
-        scale=(0.2 * moment.metre, 4.0 / len(LEGEND) * moment.metre, 0.01 * moment.metre),
-        points=in_metres(point, moment.metre),
+        scale=(0.2 * snapshot.metre, 4.0 / len(LEGEND) * snapshot.metre, 0.01 * snapshot.metre),
+        points=in_metres(point, snapshot.metre),
         colours=colours(LEGEND),
     )
-    yield _text(moment, 10 * number, (along, -3.2), f"{name}: {low}", 0.3)
-    yield _text(moment, 10 * number + 1, (along, 3.0), high, 0.3)
+    yield _text(snapshot, 10 * number, (along, -3.2), f"{name}: {low}", 0.3)
+    yield _text(snapshot, 10 * number + 1, (along, 3.0), high, 0.3)
 
 
-def _text(moment: Moment, number: int, place: tuple[float, float], text: str, size: float) -> Shape:
-    x, y, _ = (float(value) for value in in_metres(np.array([*place, 0.0]), moment.metre))
+def _text(
+    snapshot: Snapshot, number: int, place: tuple[float, float], text: str, size: float
+) -> Shape:
+    x, y, _ = (float(value) for value in in_metres(np.array([*place, 0.0]), snapshot.metre))
     return Shape(
         "legend",
         number,
         Kind.TEXT,
         origin=(x, y, 0.0),
-        scale=(0.0, 0.0, size * moment.metre),
+        scale=(0.0, 0.0, size * snapshot.metre),
         text=text,
     )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,55 +10,42 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import State
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One member of a flock at one step; arrays of shape (birds,), dimensionless."""
+class Snapshot:
+    """One member of a flock at one step, to be drawn; arrays of shape (birds,)."""
 
     configuration: FlockConfiguration
     member: int
+    """Index of the member, below `members`."""
     members: int
-    time: float
     stamp: tuple[int, int]
     """Simulated time, in s and ns."""
-    position: FloatArray
-    circulation: FloatArray
-    interaction_drag: FloatArray
+    state: FlockState
     span_ratio: FloatArray
 
     @classmethod
     def of(
         cls,
         configuration: FlockConfiguration,
-        states: Sequence[State],
+        state: FlockState,
         span_ratio: FloatArray,
         m: int,
+        stamp: tuple[int, int],
     ) -> Self:
-        """Return the flock with index `m` from `states`, one per bird and all of one step.
-
-        `span_ratio` has shape (birds, members).
-        """
-        return cls(
-            configuration=configuration,
-            member=m,
-            members=len(states[0].position),
-            time=states[0].time,
-            stamp=(states[0].seconds, states[0].nanoseconds),
-            position=np.array([state.position[m] for state in states]),
-            circulation=np.array([state.circulation[m] for state in states]),
-            interaction_drag=np.array([state.interaction_drag[m] for state in states]),
-            span_ratio=span_ratio[:, m],
-        )
+        """Return the member with index `m` of `state`. `span_ratio` has shape (birds, members)."""
+        members = span_ratio.shape[1]
+        return cls(configuration, m, members, stamp, state.member(m), span_ratio[:, m])
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
         """Which birds have a finite position and circulation."""
-        return np.isfinite(self.position) & np.isfinite(self.circulation)
+        return np.isfinite(self.state.position) & np.isfinite(self.state.circulation)
 
     @property
     def origin(self) -> float:
@@ -67,16 +53,16 @@ class Moment:
 
         If the leader is not `known`, the median of the birds that are; 0 if none is.
         """
-        leader = formation.leader(len(self.position)) - 1
-        known = self.known
+        position, known = self.state.position, self.known
+        leader = formation.leader(len(position)) - 1
         if not known.any():
             return 0.0
-        return float(self.position[leader] if known[leader] else np.median(self.position[known]))
+        return float(position[leader] if known[leader] else np.median(position[known]))
 
     @property
     def along(self) -> FloatArray:
         """Positions of the birds in the frame, in b."""
-        return self.position - self.origin
+        return self.state.position - self.origin
 
     @property
     def lateral(self) -> FloatArray:
@@ -86,7 +72,7 @@ class Moment:
     @property
     def saved(self) -> FloatArray:
         """Drag reduction eta, in %."""
-        return 100.0 * (0.0 - self.interaction_drag) / Scales.of(self.configuration).cruise_drag
+        return 100.0 * self.state.drag_reduction(Scales.of(self.configuration))
 
     @property
     def metre(self) -> float:

@@ -22,12 +22,13 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages.types import BILLION, State, Wing
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock_state import FlockState
 from flock_sim.ros.endpoints import latched
 from flock_tools.live.flock_monitor import Sample
 from flock_tools.live.listener import Watcher
 from flock_tools.scene import messages
 from flock_tools.scene.shapes import Scene, scene
-from flock_tools.scene.snapshot import Moment
+from flock_tools.scene.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from flock_tools.scene.foxglove_server import FoxgloveServer
@@ -48,28 +49,28 @@ WIDEST = 1000.0
 """Span ratio from which a received wing is ignored."""
 
 TRAIL = 600
-"""Largest number of moments of a trail."""
+"""Largest number of points of a trail."""
 
 
 class Frame:
-    """A moment as serialised messages. Each is created when it is first used."""
+    """A snapshot as serialised messages. Each is created when it is first used."""
 
-    def __init__(self, moment: Moment, trail: Sequence[FloatArray], anew: bool) -> None:
-        """Store the moment. With `anew`, the markers first remove all earlier ones."""
-        self.moment = moment
+    def __init__(self, snapshot: Snapshot, trail: Sequence[FloatArray], anew: bool) -> None:
+        """Store the snapshot. With `anew`, the markers first remove all earlier ones."""
+        self.snapshot = snapshot
         self.trail = trail
         self.anew = anew
 
     @property
     def stamp(self) -> int:
         """Simulated time, in ns."""
-        seconds, nanoseconds = self.moment.stamp
+        seconds, nanoseconds = self.snapshot.stamp
         return seconds * BILLION + nanoseconds
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene of the moment."""
-        return scene(self.moment, self.trail)
+        """The scene of the snapshot."""
+        return scene(self.snapshot, self.trail)
 
     @cached_property
     def markers(self) -> bytes:
@@ -84,12 +85,12 @@ class Frame:
     @cached_property
     def transform(self) -> bytes:
         """A TransformStamped."""
-        return messages.transform(self.moment)
+        return messages.transform(self.snapshot)
 
     @cached_property
     def transforms(self) -> bytes:
         """A TFMessage."""
-        return messages.transforms(self.moment)
+        return messages.transforms(self.snapshot)
 
 
 class Viewer(Watcher):
@@ -140,7 +141,7 @@ class Viewer(Watcher):
 
     def knows(self, sample: Sample) -> bool:
         """Whether discovery is complete, with the wings of all birds."""
-        return super().knows(sample) and self._moment() is not None
+        return super().knows(sample) and self._snapshot() is not None
 
     @property
     def tells_flown(self) -> bool:
@@ -167,28 +168,29 @@ class Viewer(Watcher):
         before = self._frame
         if before and row and row[0] is self._shown:
             if before.anew:  # markers are removed only once
-                self._frame = Frame(before.moment, before.trail, anew=False)
+                self._frame = Frame(before.snapshot, before.trail, anew=False)
             return self._frame
-        moment = self._moment()
-        if moment is None:
+        snapshot = self._snapshot()
+        if snapshot is None:
             return None
         gone_back = self._shown is not None and row[0].step <= self._shown.step
-        if before is None or gone_back or len(before.moment.position) != len(row):
+        if before is None or gone_back or len(before.snapshot.state.position) != len(row):
             self._trail.clear()
         else:
-            self._trail.append(before.moment.along)
-        anew = before is None or before.moment.known.tolist() != moment.known.tolist()
-        self._shown, self._frame = row[0], Frame(moment, list(self._trail), anew)
+            self._trail.append(before.snapshot.along)
+        anew = before is None or before.snapshot.known.tolist() != snapshot.known.tolist()
+        self._shown, self._frame = row[0], Frame(snapshot, list(self._trail), anew)
         return self._frame
 
-    def _moment(self) -> Moment | None:
+    def _snapshot(self) -> Snapshot | None:
         """Return the latest complete step; None while a bird or a wing is missing."""
         row = self.view.row(self.birds, self._member)
         flown = self.view.flown
         ratios = flown.span_ratio if flown else self._span_ratios(row)
         if not row or ratios is None:
             return None
-        return Moment.of(flown or self._assumed, row, ratios, self._member - 1)
+        state, stamp = FlockState.of(row), (row[0].seconds, row[0].nanoseconds)
+        return Snapshot.of(flown or self._assumed, state, ratios, self._member - 1, stamp)
 
     def _span_ratios(self, row: Sequence[State]) -> FloatArray | None:
         """Return the span ratios from wings, shape (birds, members); None while one is missing.

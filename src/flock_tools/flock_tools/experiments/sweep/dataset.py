@@ -15,7 +15,8 @@ import xarray as xr
 import flock_sim
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics, measure
 from flock_sim.errors import FlockError
-from flock_sim.recording.run import Run, Snapshot
+from flock_sim.physics.flock_state import FlockState
+from flock_sim.recording.run import Run
 from flock_tools.experiments.sweep.specification import Flight, Sweep
 
 PACKAGES = ("numpy", "numba", "xarray", "scipy", "mcap")
@@ -96,7 +97,7 @@ def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
     configuration = flight.configuration
     if end.step != configuration.steps:
         raise FlockError(f"{bag}: ends at step {end.step} of {configuration.steps}; fly it again")
-    metrics = measure(configuration, end.step, end.position, end.speed, end.interaction_drag)
+    metrics = measure(configuration, end)
     return {
         **_told(metrics, end),
         "flight": np.full(configuration.members, flight.number, dtype=np.int32),
@@ -104,13 +105,12 @@ def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
     }
 
 
-def _told(metrics: Metrics, end: Snapshot) -> dict[str, np.ndarray]:
-    finite = np.isfinite(end.position).all(axis=0) & np.isfinite(end.speed).all(axis=0)
+def _told(metrics: Metrics, end: FlockState) -> dict[str, np.ndarray]:
     values: dict[str, np.ndarray] = {
         "mean_speed": metrics.mean_speed,
         "speed_std": metrics.speed_std,
         "holds": np.array(metrics.stable, dtype=np.int8),
-        "diverged": np.array(~finite, dtype=np.int8),
+        "diverged": np.array(~end.finite, dtype=np.int8),
         "mean_drag_reduction": metrics.mean_drag_reduction,
         "drag_reduction": metrics.drag_reduction,
         "position": end.position.T,

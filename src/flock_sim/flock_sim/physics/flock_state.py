@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state of a flock at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.scaling import Scales, drag_reduction
+
+if TYPE_CHECKING:
+    from flock_sim.messages.types import State
+
+
+@dataclass(frozen=True)
+class FlockState:
+    """A flock at the beginning of a step; arrays of shape (birds, members), or (birds,) for one."""
+
+    step: int
+    time: float
+    """t, in b / U_min."""
+    position: FloatArray
+    """x_i, in b."""
+    speed: FloatArray
+    """U_i, in U_min."""
+    circulation: FloatArray
+    """Gamma_i, in b U_min."""
+    interaction_drag: FloatArray
+    """sum_j D_ji, in rho b^2 U_min^2; negative where drag is saved."""
+
+    @classmethod
+    def of(cls, states: Sequence[State]) -> FlockState:
+        """Return the state of a flock from those of its birds, in order, all of one step."""
+        return cls(
+            states[0].step,
+            states[0].time,
+            position=np.stack([state.position for state in states]),
+            speed=np.stack([state.speed for state in states]),
+            circulation=np.stack([state.circulation for state in states]),
+            interaction_drag=np.stack([state.interaction_drag for state in states]),
+        )
+
+    def member(self, m: int) -> FlockState:
+        """Return the state of the flock with index `m`, with arrays of shape (birds,)."""
+        arrays = (self.position, self.speed, self.circulation, self.interaction_drag)
+        return FlockState(self.step, self.time, *(values[:, m] for values in arrays))
+
+    @property
+    def from_leader(self) -> FloatArray:
+        """x_i relative to the leader, in b, in the shape of `position`."""
+        leader = formation.leader(len(self.position))
+        return np.asarray(self.position - self.position[leader - 1])
+
+    @property
+    def spacing(self) -> FloatArray:
+        """x_{i+1} - x_i, in b, shape (birds - 1, members)."""
+        return np.diff(self.position, axis=0)
+
+    @property
+    def finite(self) -> npt.NDArray[np.bool_]:
+        """Whether all positions and speeds of a flock are finite, shape (members,)."""
+        return np.asarray((np.isfinite(self.position) & np.isfinite(self.speed)).all(axis=0))
+
+    def drag_reduction(self, scales: Scales) -> FloatArray:
+        """Return eta_i in the shape of `interaction_drag`."""
+        return drag_reduction(self.interaction_drag, scales.cruise_drag)
