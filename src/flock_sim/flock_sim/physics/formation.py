@@ -73,6 +73,11 @@ def positions(spacing: FloatArray) -> FloatArray:
     return position
 
 
+def positions_by_gaps(birds: int) -> FloatArray:
+    """Return the matrix of `positions`, (birds, birds - 1): a gap moves all birds after it."""
+    return np.tril(np.ones((birds, birds)), -1)[:, : birds - 1]
+
+
 def start_position(bird: int, birds: int) -> float:
     """Return x_i(0) of the start in a V, in b: -|i - n| dy_0 / tan(theta), with the leader at 0.
 

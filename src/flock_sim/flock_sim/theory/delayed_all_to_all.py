@@ -93,8 +93,7 @@ def _newton(
         return float(np.abs(rest).max())
 
     unknown = np.append(spacing, speed)
-    # Opening gap i moves all birds after it.
-    behind = np.tril(np.ones((birds, birds)), -1)[:, : birds - 1]
+    behind = formation.positions_by_gaps(birds)
     size = forces(unknown)
     for _ in range(MOST_ITERATIONS):
         matrix = np.column_stack([slopes[:, :birds] @ behind, slopes[:, birds]])

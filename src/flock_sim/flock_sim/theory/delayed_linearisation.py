@@ -153,7 +153,7 @@ class DelayedLinearisation:
         own_slope = np.diag(2.0 * root + self.damping)
         seen = self.pull + root * (self.push + root * self.surge)
         slope = own_slope + past * (tau * seen - self.push - 2.0 * root * self.surge)
-        behind = _by_gaps(len(self.damping))
+        behind = formation.positions_by_gaps(len(self.damping))
         return (
             np.column_stack([common, self.characteristic(root) @ behind]),
             np.column_stack([common_slope, slope @ behind]),
@@ -169,7 +169,7 @@ class DelayedLinearisation:
         """
         birds = len(self.damping)
         gaps = birds - 1
-        behind = _by_gaps(birds)
+        behind = formation.positions_by_gaps(birds)
         by_spacing = (self.pull - np.diag(self.pull.sum(axis=1))) @ behind
         if self.lag == 0.0:
             by_speed = self.push - np.diag(self.damping)  # no surge without a lag
@@ -224,11 +224,6 @@ class DelayedLinearisation:
                 f"polished, with {nodes} nodes and lag {self.lag:g}: ask for fewer roots"
             )
         return polished[np.argsort(-polished.real, kind="stable")]
-
-
-def _by_gaps(birds: int) -> FloatArray:
-    """Return positions from bird 1 as sums of spacings, shape (birds, birds - 1)."""
-    return np.tril(np.ones((birds, birds)), -1)[:, : birds - 1]
 
 
 def _moved_meanwhile(root: complex, lag: float) -> tuple[complex, complex]:
