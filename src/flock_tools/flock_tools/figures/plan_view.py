@@ -31,8 +31,8 @@ _MOST_OUTLINED = 45
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One flock at one moment, arrays of shape (birds,); lengths in b from the leader."""
+class PlanView:
+    """One flock as it is drawn; arrays of shape (birds,), lengths in b from the leader."""
 
     across: FloatArray
     along: FloatArray
@@ -46,10 +46,10 @@ class Scene:
     """Upper end of the range shown along the flight; `bottom` is its lower end."""
 
     @classmethod
-    def of(cls, configuration: FlockConfiguration, metrics: Metrics, m: int) -> Scene:
-        """Return the scene of the flock with index `m`.
+    def of(cls, configuration: FlockConfiguration, metrics: Metrics, m: int) -> PlanView:
+        """Return the view of the flock with index `m`.
 
-        If the flock has come apart, the scene is around the median bird.
+        If the flock has come apart, the view is around the median bird.
         """
         birds = configuration.birds
         start = np.array([formation.start_position(bird, birds) for bird in range(1, birds + 1)])
@@ -70,21 +70,21 @@ class Scene:
 
     @property
     def width(self) -> float:
-        """Width of the scene across the flight, in b."""
+        """Width of the view across the flight, in b."""
         flock = 2.0 * float((np.abs(self.across) + self.span_ratio).max())
         return max(_NARROWEST, 1.05 * flock + 1.0)
 
     @property
     def height(self) -> float:
-        """Height of the scene along the flight, in b."""
+        """Height of the view along the flight, in b."""
         return self.top - self.bottom
 
 
-def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
-    """Draw the birds to scale, on top of the start. Mark birds outside of the scene."""
+def draw_formation(figure: Figure, axes: Axes, view: PlanView) -> None:
+    """Draw the birds to scale, on top of the start. Mark birds outside of the view."""
     axes.set(
-        xlim=(-0.5 * scene.width, 0.5 * scene.width),
-        ylim=(scene.bottom, scene.top),
+        xlim=(-0.5 * view.width, 0.5 * view.width),
+        ylim=(view.bottom, view.top),
         xlabel="lateral position $y_i$, from the leader (b; a standard wing spans 2b)",
         ylabel="streamwise position $x_i$ (b)",
     )
@@ -93,28 +93,28 @@ def draw_formation(figure: Figure, axes: Axes, scene: Scene) -> None:
     axes.grid(color="#eceff1", linewidth=0.7)
     axes.add_collection(
         PolyCollection(
-            _wings(scene.across, scene.start, scene.span_ratio),
+            _wings(view.across, view.start, view.span_ratio),
             facecolors="#e9ecee",
             edgecolors=PALE,
             linewidths=0.5,
         )
     )
-    here = (scene.along >= scene.bottom) & (scene.along <= scene.top)
-    colours = ScalarMappable(saved_scale(scene.saved), DRAG_SAVED)
+    here = (view.along >= view.bottom) & (view.along <= view.top)
+    colours = ScalarMappable(saved_scale(view.saved), DRAG_SAVED)
     faces = np.where(
-        np.isfinite(scene.saved)[:, np.newaxis], colours.to_rgba(scene.saved), (1.0, 1.0, 1.0, 1.0)
+        np.isfinite(view.saved)[:, np.newaxis], colours.to_rgba(view.saved), (1.0, 1.0, 1.0, 1.0)
     )
     axes.add_collection(
         PolyCollection(
-            _wings(scene.across[here], scene.along[here], scene.span_ratio[here]),
+            _wings(view.across[here], view.along[here], view.span_ratio[here]),
             facecolors=faces[here],
             edgecolors=INK if len(faces) <= _MOST_OUTLINED else faces[here],
             linewidths=0.4 if len(faces) <= _MOST_OUTLINED else 0.8,
         )
     )
-    _number(axes, scene, here)
-    _tell_who_left(axes, scene, here)
-    started = (scene.start >= scene.bottom) & (scene.start <= scene.top)
+    _number(axes, view, here)
+    _tell_who_left(axes, view, here)
+    started = (view.start >= view.bottom) & (view.start <= view.top)
     _explain(axes, start=bool(started.any()) and len(faces) > 1)
     bar = figure.colorbar(colours, ax=axes, shrink=0.8, aspect=22, pad=0.015)
     bar.set_label("drag reduction $\\eta_i$ (%)")
@@ -129,9 +129,9 @@ def _wings(across: FloatArray, along: FloatArray, span_ratio: FloatArray) -> lis
     return [place + ratio * OUTLINE for place, ratio in zip(places, span_ratio, strict=True)]
 
 
-def _number(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
+def _number(axes: Axes, view: PlanView, here: npt.NDArray[np.bool_]) -> None:
     """Write the birds' numbers behind them. A large flock has some numbers, outside of it."""
-    birds = len(scene.across)
+    birds = len(view.across)
     leader = formation.leader(birds)
     small = birds <= _MOST_NUMBERS
     every = 1 if small else 5 if birds <= 60 else 10
@@ -143,7 +143,7 @@ def _number(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
         side = int(np.sign(bird - leader))
         axes.annotate(
             str(bird),
-            (scene.across[i], scene.along[i] - (0.23 * scene.span_ratio[i] if small else 0.0)),
+            (view.across[i], view.along[i] - (0.23 * view.span_ratio[i] if small else 0.0)),
             xytext=(0, -2) if small else (2 * side, 3),
             textcoords="offset points",
             ha="center" if small else {-1: "right", 0: "center", 1: "left"}[side],
@@ -153,17 +153,17 @@ def _number(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
         )
 
 
-def _tell_who_left(axes: Axes, scene: Scene, here: npt.NDArray[np.bool_]) -> None:
-    """Mark the birds outside of the scene, with their positions."""
-    known = np.isfinite(scene.along)
+def _tell_who_left(axes: Axes, view: PlanView, here: npt.NDArray[np.bool_]) -> None:
+    """Mark the birds outside of the view, with their positions."""
+    known = np.isfinite(view.along)
     for i in np.flatnonzero(~here & known):
-        behind = scene.along[i] < scene.bottom
-        edge = scene.bottom if behind else scene.top
+        behind = view.along[i] < view.bottom
+        edge = view.bottom if behind else view.top
         mark = "v" if behind else "^"
-        axes.plot(scene.across[i], edge, mark, color=INK, markersize=6, clip_on=False, zorder=5)
+        axes.plot(view.across[i], edge, mark, color=INK, markersize=6, clip_on=False, zorder=5)
         axes.annotate(
-            f"{i + 1} at {scene.along[i]:.0f} b".replace("-", "−"),
-            (scene.across[i], edge),
+            f"{i + 1} at {view.along[i]:.0f} b".replace("-", "−"),
+            (view.across[i], edge),
             xytext=(0, 7 if behind else -7),
             textcoords="offset points",
             ha="center",

@@ -13,7 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.figures.plan_view import Scene, draw_formation
+from flock_tools.figures.plan_view import PlanView, draw_formation
 from flock_tools.figures.style import ALARM, FAINT, INK, STYLE, flock_name
 
 WIDTH = 9.0  # in
@@ -32,8 +32,8 @@ def draw(
 
     `history` is the history of the member from `dataset.load`, dims (time, bird).
     """
-    scene = Scene.of(configuration, metrics, member - 1)
-    height = (WIDTH - MARGINS) * scene.height / scene.width
+    view = PlanView.of(configuration, metrics, member - 1)
+    height = (WIDTH - MARGINS) * view.height / view.width
     with mpl.rc_context(STYLE):
         figure = Figure(
             figsize=(WIDTH, height + CURVES + 1.75),
@@ -43,7 +43,7 @@ def draw(
         figure.suptitle(
             _heading(configuration, metrics, member - 1), x=0.02, ha="left", fontsize=10
         )
-        draw_formation(figure, figure.add_subplot(grid[0, :]), scene)
+        draw_formation(figure, figure.add_subplot(grid[0, :]), view)
         if configuration.birds == 1:
             curves = [_speed(figure.add_subplot(grid[1, :]), history)]
         else:
