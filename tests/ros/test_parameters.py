@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
+from flock_sim.configuration.flock_configuration import KEYS, MEANING, FlockConfiguration
 from flock_sim.configuration.operation import DEFAULTS, OPERATION
 from flock_sim.ros.endpoints import latched
 from flock_sim.ros.parameters import declare, descriptor
@@ -105,7 +105,7 @@ def test_a_waiting_clock_tells_what_it_was_given(terminal: Terminal, asker: Node
     assert isinstance(birds, ParameterDescriptor)
     assert (birds.type, birds.description) == (
         ParameterType.PARAMETER_INTEGER,
-        KEYS["birds"].meaning,
+        MEANING["birds"],
     )
     assert birds.integer_range[0].from_value == 1
     assert (dt.floating_point_range[0].from_value, dt.additional_constraints) == (

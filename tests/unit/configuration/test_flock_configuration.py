@@ -4,6 +4,7 @@
 import math
 from collections.abc import Iterator
 from math import inf, nan
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -170,6 +171,15 @@ def test_a_key_like_no_other_is_answered_with_all_that_are_known():
 
 def test_every_key_has_a_meaning_to_show():
     assert list(KEYS) == list(MEANING) == list(FlockConfiguration().parameters())
+    assert all(MEANING.values())
+
+
+def test_the_page_on_the_model_has_every_key_and_its_default():
+    text = (Path(__file__).parents[3] / "docs/model.md").read_text(encoding="utf-8")
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| `")]
+    told = {cells[0].strip("| `"): cells[1] for cells in rows}
+    for key, value in FlockConfiguration().parameters().items():
+        assert told[key] == ("none" if value == [] else str(value))
 
 
 @pytest.mark.parametrize(

@@ -8,21 +8,23 @@ parameters alike, so a value has the same meaning, and the same error messages, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from flock_sim.configuration import perturbation
+from flock_sim.configuration import span_ratios as ratios
 from flock_sim.configuration.choices import COUPLINGS
-from flock_sim.configuration.parameter import Parameter
+from flock_sim.configuration.key import Key, told
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError, nearest
 from flock_sim.links import keys
-from flock_sim.links.link_table import LinkTable
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.links.registry import MODELS
+
+if TYPE_CHECKING:
+    from flock_sim.links.link_table import LinkTable
+    from flock_sim.physics.arrays import FloatArray
 
 # Largest relative distance of t_max / dt from a whole number: decimals such as 1000 / 0.01 have
 # rounding errors.
@@ -37,40 +39,10 @@ LEAST_ROW = 2.0
 LAST_SECOND = 2.0**31
 """First time that the 32 bits of a ROS time stamp can't hold, in s."""
 
-LONGEST_VALUE = 60
-"""Most characters that are shown of a refused value."""
 
-MEANING = {
-    "birds": "number of birds N",
-    "coupling": "whom a bird feels: its nearest neighbours, or all others",
-    "dt": "step size, in b / U_min",
-    "t_max": "flight time, in b / U_min: a whole number of steps",
-    "record_every": "steps between recorded states",
-    "body_mass": "mass of the standard bird, in kg",
-    "wing_span": "full wing span 2b of the standard bird, in m",
-    "air_density": "in kg/m^3",
-    "min_drag_speed": "speed of least drag U_min of the standard bird, in m/s",
-    "cruise_speed": "solo cruising speed U_0 of the standard bird, in m/s",
-    "oswald_efficiency": "Oswald efficiency e_O",
-    "zero_lift_drag": "zero-lift drag coefficient C_D",
-    "aspect_ratio": "aspect ratio AR = (2b)^2 / S",
-    "span_ratios": "birds that differ, each as I=LAMBDA or I=LAMBDA,LAMBDA,... (one a member)",
-    "perturbations": f"pushes, each as {perturbation.FORM}, in b and U_min",
-    "links": f"how birds know their neighbours, each as {keys.FORM}",
-}
-
-LIMITS: dict[str, dict[str, Any]] = {
-    "birds": {"most": MOST_BIRDS},
-    "coupling": {"choices": COUPLINGS},
-    "record_every": {"most": 2**53},
-}
-
-EXAMPLES = {
-    "span_ratios": "4=1.05",
-    "perturbations": perturbation.EXAMPLE,
-    "links": keys.EXAMPLE,
-}
-"""An example of an entry of each list."""
+def _key(default: Any, meaning: str, unit: str = "1", **facts: Any) -> Any:
+    """Return the field of a key; `facts` are the other arguments of `Key`."""
+    return field(default=default, metadata={"key": Key(default, meaning, unit, **facts)})
 
 
 @dataclass(frozen=True)
@@ -81,22 +53,50 @@ class FlockConfiguration:
     Raises FlockError on a value that is out of range.
     """
 
-    birds: int = 13
-    coupling: str = "nearest"
-    dt: float = 1.0
-    t_max: float = 10000.0
-    record_every: int = 10
-    body_mass: float = 3.8
-    wing_span: float = 1.5
-    air_density: float = 1.225
-    min_drag_speed: float = 18.0
-    cruise_speed: float = 18.5
-    oswald_efficiency: float = 0.8
-    zero_lift_drag: float = 0.025
-    aspect_ratio: float = 9.0
-    span_ratios: tuple[str, ...] = ()
-    perturbations: tuple[str, ...] = ()
-    links: tuple[str, ...] = ()
+    birds: int = _key(13, "number of birds N", most=MOST_BIRDS)
+    coupling: str = _key(
+        COUPLINGS[0],
+        "whom a bird feels",
+        note="its nearest neighbours, or all others",
+        choices=COUPLINGS,
+    )
+    dt: float = _key(1.0, "step size", "b/U_min")
+    t_max: float = _key(10000.0, "flight time", "b/U_min", note="a whole number of steps")
+    record_every: int = _key(10, "steps between recorded states")
+    body_mass: float = _key(3.8, "mass of the standard bird", "kg")
+    wing_span: float = _key(1.5, "full wing span of the standard bird", "m", symbol="2b")
+    air_density: float = _key(1.225, "air density", "kg/m^3")
+    min_drag_speed: float = _key(
+        18.0, "speed of least drag of the standard bird", "m/s", symbol="U_min"
+    )
+    cruise_speed: float = _key(
+        18.5, "solo cruising speed of the standard bird", "m/s", symbol="U_0"
+    )
+    oswald_efficiency: float = _key(0.8, "Oswald efficiency", symbol="e_O")
+    zero_lift_drag: float = _key(0.025, "zero-lift drag coefficient", symbol="C_D")
+    aspect_ratio: float = _key(9.0, "aspect ratio", symbol="AR = (2b)^2 / S")
+    span_ratios: tuple[str, ...] = _key(
+        (),
+        "wing span of bird I over the standard one; several values make as many members, "
+        "independent flocks flown at once",
+        form=ratios.FORM,
+        example=ratios.EXAMPLE,
+    )
+    perturbations: tuple[str, ...] = _key(
+        (),
+        "push of a bird at the beginning of a step",
+        note="change its position, in b, and speed, in U_min, in one member or all",
+        form=perturbation.FORM,
+        example=perturbation.EXAMPLE,
+    )
+    links: tuple[str, ...] = _key(
+        (),
+        "what birds know of their neighbours, or TARGET of SOURCE (quote the >)",
+        note=f"the model {', '.join(model.name for model in MODELS)}, and {', '.join(keys.KEYS)}; "
+        "the last one for a link holds",
+        form=keys.FORM,
+        example=keys.EXAMPLE,
+    )
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
@@ -105,34 +105,19 @@ class FlockConfiguration:
         Values may have the declared type, or be text that can be read as this type ("1e4").
         Raises FlockError on an unknown key, naming the nearest known one, and on a bad value.
         """
-        known = {field.name: field for field in fields(cls)}
         for key in parameters:
-            if key not in known:
-                raise FlockError(f"unknown parameter {key!r}: {nearest(key, known)}")
-        readers: dict[str, Callable[[str, Any], Any]]
-        readers = {"int": _whole, "float": _real, "str": _text, "tuple[str, ...]": _texts}
-        return cls(
-            **{key: readers[str(known[key].type)](key, value) for key, value in parameters.items()}
-        )
+            if key not in KEYS:
+                raise FlockError(f"unknown parameter {key!r}: {nearest(key, KEYS)}")
+        return cls(**{key: KEYS[key].read(key, value) for key, value in parameters.items()})
 
     def __post_init__(self) -> None:
         """Refuse a configuration that cannot be flown."""
-        for name in ("birds", "record_every"):
-            value, most = getattr(self, name), LIMITS[name]["most"]
-            if value < 1:
-                raise FlockError(f"{name} = {_told(value)}: must be 1 or more")
-            if value > most:
-                raise FlockError(f"{name} = {_told(value)}: must be {most} or less")
-        if self.coupling not in COUPLINGS:
-            raise FlockError(f"coupling = {self.coupling!r}: {nearest(self.coupling, COUPLINGS)}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.type == "float" and not (math.isfinite(value) and value > 0.0):
-                raise FlockError(f"{field.name} = {value:g}: must be finite and above 0")
+        for name, key in KEYS.items():
+            key.check(name, getattr(self, name))
         if self.cruise_speed < self.min_drag_speed:
             raise FlockError(
                 f"cruise_speed = {self.cruise_speed:g}: must be min_drag_speed "
-                f"({_told(self.min_drag_speed)} m/s) or more"
+                f"({told(self.min_drag_speed)} m/s) or more"
             )
         self._check_time()
         self.span_ratio, self.pushes  # noqa: B018  (read once, so that bad ones are refused here)
@@ -148,7 +133,7 @@ class FlockConfiguration:
         if not self._in_ros_time(max(self.t_max, self.time(self.steps))):
             latest = LAST_SECOND / self.second * (1.0 - 5e-6)  # rounded to six digits still below
             raise FlockError(
-                f"t_max = {_told(self.t_max)}: must be below {latest:.6g}, where the seconds of "
+                f"t_max = {told(self.t_max)}: must be below {latest:.6g}, where the seconds of "
                 "ROS time end"
             )
         if self.record_every * self.dt * self.second * 1e9 < LEAST_ROW:
@@ -158,7 +143,7 @@ class FlockConfiguration:
             )
         if not _whole_steps(self.t_max, self.dt):
             raise FlockError(
-                f"t_max = {_told(self.t_max)}: must be a multiple of dt = {_told(self.dt)}; "
+                f"t_max = {told(self.t_max)}: must be a multiple of dt = {told(self.dt)}; "
                 f"{self._multiples(math.floor(steps))}"
             )
 
@@ -178,10 +163,10 @@ class FlockConfiguration:
     @cached_property
     def span_ratio(self) -> FloatArray:
         """lambda_i of every bird and member, shape (birds, members)."""
-        ratio = _span_ratio(self.span_ratios, self.birds)
+        ratio = ratios.array(self.span_ratios, self.birds)
         members, others = ratio.shape[1], self.link_table.members
         if members == 1:
-            return np.repeat(ratio, others, axis=1)
+            return ratio.repeat(others, axis=1)
         if others not in (1, members):
             raise FlockError(
                 f"link {self.link_table.longest!r} has {others} members and span_ratios have "
@@ -192,6 +177,9 @@ class FlockConfiguration:
     @cached_property
     def link_table(self) -> LinkTable:
         """The links of the flock: how every bird knows its neighbours."""
+        # Imported here, as it needs numpy, which the options of a tool don't need.
+        from flock_sim.links.link_table import LinkTable
+
         return LinkTable(self.links, self.birds, self.coupling)
 
     @cached_property
@@ -224,8 +212,19 @@ class FlockConfiguration:
 
     def parameters(self) -> dict[str, Any]:
         """Return every key of the configuration file with its value."""
-        lists = {key: list(getattr(self, key)) for key in EXAMPLES}
-        return {**asdict(self), **lists}
+        values = {name: getattr(self, name) for name in KEYS}
+        return {**values, **{name: list(values[name]) for name in LISTS}}
+
+
+KEYS: Mapping[str, Key] = {one.name: one.metadata["key"] for one in fields(FlockConfiguration)}
+
+LISTS = tuple(name for name, key in KEYS.items() if key.form)
+"""The keys whose values are lists."""
+
+MEANING = {
+    name: f"{key.text}; each as {key.form}" if key.form else key.text for name, key in KEYS.items()
+}
+"""The meaning of each key, in full."""
 
 
 KEYS = {
@@ -248,97 +247,3 @@ def _digits(steps: int, dt: float) -> str:
         if _whole_steps(float(text), dt) and round(float(text) / dt) == steps:
             return text
     return repr(steps * dt)
-
-
-def _told(value: float) -> str:
-    """Return the shortest text of a number that reads as this number."""
-    short = f"{value:g}"
-    return short if float(short) == value else repr(value)
-
-
-def _whole(key: str, value: Any) -> int:
-    number = _real(key, value)
-    if not math.isfinite(number) or number != math.floor(number):
-        raise FlockError(f"{key} = {_shown(value)}: must be a whole number")
-    return int(number)
-
-
-def _real(key: str, value: Any) -> float:
-    if isinstance(value, int | float | str) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except (ValueError, OverflowError):
-            pass
-    raise FlockError(f"{key} = {_shown(repr(value))}: must be a number")
-
-
-def _shown(value: object) -> str:
-    """Return the shown part of a refused value, which may have any length."""
-    text = str(value)
-    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
-
-
-def _text(key: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise FlockError(f"{key} = {value!r}: must be text")
-    return value
-
-
-def _texts(key: str, value: Any) -> tuple[str, ...]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise FlockError(f'{key} = {value!r}: must be a list such as ["{EXAMPLES[key]}"]')
-    return tuple(_text(key, item) for item in value if item != "")
-
-
-def _span_ratio(entries: tuple[str, ...], birds: int) -> FloatArray:
-    """Return lambda of shape (birds, members) from entries "I=LAMBDA[,LAMBDA...]"."""
-    given: dict[int, tuple[str, list[float]]] = {}
-    for entry in entries:
-        bird, ratios = _entry(entry, birds)
-        if bird in given:
-            raise FlockError(
-                f"span ratio {entry!r}: bird {bird} is given twice, also as {given[bird][0]!r}"
-            )
-        given[bird] = (entry, ratios)
-
-    members = max((len(ratios) for _, ratios in given.values()), default=1)
-    ratio = np.ones((birds, members))
-    for bird, (entry, ratios) in given.items():
-        if len(ratios) not in (1, members):
-            longest = next(e for e, r in given.values() if len(r) == members)
-            raise FlockError(
-                f"span ratio {entry!r} has {len(ratios)} members and {longest!r} has {members}: "
-                f"give 1 or {members} to every bird"
-            )
-        ratio[bird - 1] = ratios
-    _check_wings_apart(ratio)
-    return ratio
-
-
-def _entry(entry: str, birds: int) -> tuple[int, list[float]]:
-    number, equals, values = entry.partition("=")
-    try:
-        bird, ratios = int(number), [float(value) for value in values.split(",")]
-    except ValueError:
-        equals = ""
-    if not equals:
-        raise FlockError(
-            f"span ratio {entry!r}: must be I=LAMBDA or I=LAMBDA,LAMBDA,... such as 4=1.05"
-        )
-    if not 1 <= bird <= birds:
-        raise FlockError(f"span ratio {entry!r}: bird {bird} is not among 1..{birds}")
-    for ratio in ratios:
-        if not (math.isfinite(ratio) and ratio > 0.0):
-            raise FlockError(f"span ratio {entry!r}: {ratio:g} must be finite and above 0")
-    return bird, ratios
-
-
-def _check_wings_apart(ratio: FloatArray) -> None:
-    """Refuse neighbours whose bound vortices meet: dy <= a_i + a_j if their lambdas sum to <= 1."""
-    sums = ratio[:-1] + ratio[1:]
-    if np.any(sums <= 1.0):
-        bird, member = (int(k) for k in np.argwhere(sums <= 1.0)[0])
-        raise FlockError(
-            f"span ratios {ratio[bird, member]:g} and {ratio[bird + 1, member]:g} of birds "
-            f"{bird + 1} and {bird + 2}: must sum to more than 1, or their vortices would meet"
-        )

@@ -18,10 +18,13 @@ LONGEST = 10000
 
 
 @dataclass(frozen=True)
-class Range:
-    """The values that a key may have."""
+class LinkKey:
+    """A key with numbers: its meaning, its unit ("1": none), and the values that it may have."""
 
+    meaning: str
+    unit: str
     told: str
+    """The values in words."""
     holds: Callable[[float], bool]
     default: float = 0.0
 
@@ -30,24 +33,32 @@ def _whole(value: float) -> bool:
     return math.isfinite(value) and value == math.floor(value)
 
 
-_STEPS = Range(f"a whole number of steps, 0..{LONGEST}", lambda v: _whole(v) and 0 <= v <= LONGEST)
-_SIZE = Range("finite, 0 or more", lambda v: 0.0 <= v < math.inf)
+_STEPS = (
+    "steps",
+    f"a whole number of steps, 0..{LONGEST}",
+    lambda v: _whole(v) and 0 <= v <= LONGEST,
+)
+_SIZE = "finite, 0 or more", lambda v: 0.0 <= v < math.inf
 
 FAULTS = {
-    "delay": _STEPS,
-    "jitter": _STEPS,
-    "drop": Range("a probability of [0, 1)", lambda v: 0.0 <= v < 1.0),
-    "position_noise": _SIZE,
-    "speed_noise": _SIZE,
-    "position_quantum": _SIZE,
-    "speed_quantum": _SIZE,
-    "range": Range("above 0", lambda v: v > 0.0, math.inf),
-    "timeout": Range(
+    "delay": LinkKey("delay", *_STEPS),
+    "jitter": LinkKey("jitter", *_STEPS),
+    "drop": LinkKey("probability of loss", "1", "a probability of [0, 1)", lambda v: 0 <= v < 1),
+    "position_noise": LinkKey("noise of position", "b", *_SIZE),
+    "speed_noise": LinkKey("noise of speed", "U_min", *_SIZE),
+    "position_quantum": LinkKey("quantum of position", "b", *_SIZE),
+    "speed_quantum": LinkKey("quantum of speed", "U_min", *_SIZE),
+    "range": LinkKey("range", "b", "above 0", lambda v: v > 0.0, math.inf),
+    "timeout": LinkKey(
+        "timeout",
+        "steps",
         "a whole number of steps, 0 or more, or inf",
         lambda v: v >= 0.0 and (_whole(v) or v == math.inf),
         math.inf,
     ),
-    "seed": Range("a whole number, 0..2^53", lambda v: _whole(v) and 0 <= v <= 2**53),
+    "seed": LinkKey(
+        "seed", "1", "a whole number, 0..2^53", lambda v: _whole(v) and 0 <= v <= 2**53
+    ),
 }
 """The faults of a link, in the order of the rows of `Settings.faults`."""
 
@@ -62,6 +73,16 @@ BOTH = {
 """Keys that set two faults at once."""
 
 INTERVAL = "interval"
-STEPS_BETWEEN = Range("a whole number of steps, 1 or more", lambda v: _whole(v) and v >= 1, 1.0)
+NUMBERS = {
+    INTERVAL: LinkKey(
+        "interval of messages",
+        "steps",
+        "a whole number of steps, 1 or more",
+        lambda v: _whole(v) and v >= 1,
+        1.0,
+    ),
+    **FAULTS,
+}
+"""All keys that set one number."""
 
-KEYS = (INTERVAL, *FAULTS, *BOTH)
+KEYS = (*NUMBERS, *BOTH)

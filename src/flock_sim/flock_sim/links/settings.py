@@ -9,6 +9,7 @@ values of a key are those of the members.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +24,10 @@ from flock_sim.links.keys import (
     INTERVAL,
     JITTER,
     KEYS,
+    NUMBERS,
     SEED,
     SEPARATOR,
-    STEPS_BETWEEN,
-    Range,
+    LinkKey,
 )
 from flock_sim.links.registry import MODELS
 from flock_sim.physics.arrays import FloatArray
@@ -101,12 +102,11 @@ PLAIN = Settings(
 def read(entry: str) -> tuple[tuple[int, int] | None, Settings]:
     """Return the link that `entry` sets (None: all links) and its settings; raises FlockError."""
     called = f"link {entry!r}"
-    link, what = parted(entry)
-    name, _, rest = what.partition(":")
+    link, name, items = parted(entry)
     names = [model.name for model in MODELS]
     if name not in names:
         raise FlockError(f"{called}: unknown model {name!r}: {nearest(name, names)}")
-    values = _values(called, rest)
+    values = _values(called, items)
     model = names.index(name)
     interval = values.pop(INTERVAL, [1.0])
     if len(set(interval)) > 1:
@@ -123,39 +123,45 @@ def read(entry: str) -> tuple[tuple[int, int] | None, Settings]:
     return link, Settings(entry, model, int(interval[0]), faults)
 
 
-def parted(entry: str) -> tuple[tuple[int, int] | None, str]:
-    """Return (source, target), or None if `entry` is for all links, and the rest of the text.
+def parted(entry: str) -> tuple[tuple[int, int] | None, str, list[tuple[str, str]]]:
+    """Return the parts of the text of a link: its birds, its model, and each key with its values.
 
-    Raises FlockError if `entry` has neither form.
+    The birds are (source, target), or None if `entry` is for all links. Raises FlockError if
+    `entry` has neither form.
     """
     birds, equals, what = entry.partition("=")
     source, arrow, target = birds.partition("->")
-    if not arrow or ":" in birds:
-        return None, entry
-    try:
-        if equals:
-            return (int(source), int(target)), what
-    except ValueError:
-        pass
-    raise FlockError(f"link {entry!r}: must be {FORM} such as {EXAMPLE} or 3->4=linear:delay=2")
+    link = None
+    if arrow and ":" not in birds:
+        try:
+            link = int(source), int(target)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise FlockError(
+                f"link {entry!r}: must be {FORM} such as {EXAMPLE} or 3->4=linear:delay=2"
+            )
+    model, _, rest = (what if link else entry).partition(":")
+    items = (item.partition("=") for item in rest.split(",")) if rest else ()
+    return link, model, [(key, values) for key, _, values in items]
 
 
-def _values(called: str, text: str) -> dict[str, list[float]]:
-    """Return the values of each key in "KEY=VALUE[/VALUE...],..."."""
+def _values(called: str, items: Iterable[tuple[str, str]]) -> dict[str, list[float]]:
+    """Return the values of each key, from the text of its values."""
     values: dict[str, list[float]] = {}
-    for item in text.split(",") if text else []:
-        key, _, given = item.partition("=")
+    for key, given in items:
         if key not in KEYS:
             raise FlockError(f"{called}: unknown key {key!r}: {nearest(key, KEYS)}")
         for single in BOTH.get(key, (key,)):
             if single in values:
                 raise FlockError(f"{called}: {single} is given twice; leave one out")
-            bounds = STEPS_BETWEEN if single == INTERVAL else FAULTS[single]
-            values[single] = [_number(called, key, word, bounds) for word in given.split(SEPARATOR)]
+            values[single] = [
+                _number(called, key, word, NUMBERS[single]) for word in given.split(SEPARATOR)
+            ]
     return values
 
 
-def _number(called: str, key: str, word: str, bounds: Range) -> float:
+def _number(called: str, key: str, word: str, bounds: LinkKey) -> float:
     try:
         value = float(word)
     except ValueError:

@@ -13,7 +13,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
+from flock_sim.configuration.flock_configuration import KEYS, MEANING, FlockConfiguration
 from flock_sim.configuration.operation import OPERATION
 
 LARGEST = 2**63 - 1
@@ -34,9 +34,10 @@ def declare(
 
 def descriptor(name: str) -> ParameterDescriptor:
     """Return the description of parameter `name`: its meaning and its range."""
-    parameter = {**KEYS, **OPERATION}[name]
+    parameter = OPERATION.get(name) or KEYS[name]
+    meaning = MEANING.get(name, parameter.meaning)
     told = ParameterDescriptor(
-        description=parameter.meaning, read_only=True, additional_constraints="given at start"
+        description=meaning, read_only=True, additional_constraints="given at start"
     )
     if parameter.choices:
         told.additional_constraints = f"one of {', '.join(parameter.choices)}"

@@ -19,6 +19,7 @@ from markupsafe import Markup
 from flock_sim import __version__
 from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.configuration.parameter_file import PARAMETERS, SECTION
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.bird_outline import OUTLINE
@@ -29,18 +30,6 @@ PAGE = Path(__file__).parent / "assets"
 
 SCRIPTS = ("chart.js", "pictures.js", "report.js")
 """Scripts that draw the pictures, in the order of loading."""
-
-FLAGS = {
-    "birds": "--birds",
-    "coupling": "--coupling",
-    "dt": "--dt",
-    "t_max": "--t-max",
-    "record_every": "--record-every",
-    "span_ratios": "--span-ratio",
-    "perturbations": "--perturb",
-    "links": "--link",
-}
-"""Options of configuration keys; the other keys are given by a file."""
 
 
 def page(runs: Sequence[Reported]) -> bytes:
@@ -221,10 +210,10 @@ def command(run: Reported) -> str:
     flown, usual = run.configuration.parameters(), FlockConfiguration().parameters()
     words = []
     for key, value in flown.items():
-        if value != usual[key] and key in FLAGS:
+        if value != usual[key] and key in FLOCK_OPTIONS:
             each = value if isinstance(value, list) else [value]
-            words += [word for entry in each for word in (FLAGS[key], str(entry))]
-    if any(flown[key] != usual[key] for key in flown.keys() - FLAGS.keys()):
+            words += [word for entry in each for word in (FLOCK_OPTIONS[key], str(entry))]
+    if any(flown[key] != usual[key] for key in flown.keys() - FLOCK_OPTIONS.keys()):
         words += ["--config", "flock.yaml"]  # the page has this file, too
     if run.factor:
         words += ["--mode", "free", "--real-time-factor", f"{run.factor:g}"]

@@ -13,7 +13,7 @@ import xarray as xr
 from flock_sim.physics import formation
 from flock_sim.messages import topics
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.configuration.flock_configuration import EXAMPLES
+from flock_sim.configuration.flock_configuration import LISTS
 from flock_sim.messages.types import ARRAYS
 from flock_sim.errors import FlockError
 from flock_sim.recording.run import Run
@@ -145,7 +145,7 @@ def _attributes(run: Run) -> dict[str, Any]:
     """Return the attributes of the whole run, in types that NetCDF supports."""
     configuration = run.configuration
     attributes = configuration.parameters()
-    for key in EXAMPLES:  # lists, which NetCDF does not support
+    for key in LISTS:  # which NetCDF does not support
         attributes[key] = " ".join(attributes[key]) or "none"
     attributes["leader"] = formation.leader(configuration.birds)
     attributes["second"] = configuration.second

@@ -11,41 +11,30 @@ from typing import Any
 
 import numpy as np
 
+from flock_sim.configuration import flock_configuration
+from flock_sim.configuration.flock_configuration import LISTS
+from flock_sim.configuration.key import number_of
 from flock_sim.errors import FlockError, nearest
+from flock_sim.links.keys import NUMBERS
 from flock_tools.experiments.sweep.members import Member
 
 MOST_VALUES = 100_000
 
 RANGE_KEYS = ("from", "to", "count")
 
+COMMON = ("birds", "record_every")
+"""Configuration keys that have one value for all members."""
+
 KEYS = {
-    "coupling": ("whom a bird feels", "1"),
-    "dt": ("step size", "b/U_min"),
-    "t_max": ("flight time", "b/U_min"),
-    "body_mass": ("mass of the standard bird", "kg"),
-    "wing_span": ("full wing span of the standard bird", "m"),
-    "air_density": ("air density", "kg/m^3"),
-    "min_drag_speed": ("speed of least drag of the standard bird", "m/s"),
-    "cruise_speed": ("solo cruising speed of the standard bird", "m/s"),
-    "oswald_efficiency": ("Oswald efficiency", "1"),
-    "zero_lift_drag": ("zero-lift drag coefficient", "1"),
-    "aspect_ratio": ("aspect ratio", "1"),
+    name: (key.meaning, key.unit)
+    for name, key in flock_configuration.KEYS.items()
+    if name not in (*COMMON, *LISTS)
 }
 """Configuration keys that can be an axis: long name and unit. A flight has one value of each."""
 
 LINK_KEYS = {
     "model": ("model", "1"),
-    "interval": ("interval of messages", "steps"),
-    "delay": ("delay", "steps"),
-    "jitter": ("jitter", "steps"),
-    "drop": ("probability of loss", "1"),
-    "position_noise": ("noise of position", "b"),
-    "speed_noise": ("noise of speed", "U_min"),
-    "position_quantum": ("quantum of position", "b"),
-    "speed_quantum": ("quantum of speed", "U_min"),
-    "range": ("range", "b"),
-    "timeout": ("timeout", "steps"),
-    "seed": ("seed", "1"),
+    **{key: (found.meaning, found.unit) for key, found in NUMBERS.items()},
     "noise": ("noise of position and speed", "b, U_min"),
     "quantum": ("quantum of position and speed", "b, U_min"),
 }
@@ -87,7 +76,7 @@ def axis(name: str, given: Any) -> Axis:
     called = f"axis {name!r}"
     found = _ratio(name) or _start(name) or _link(name) or _key(name)
     if found is None:
-        if name in ("birds", "record_every"):
+        if name in COMMON:
             raise FlockError(f"{called}: is one for all members; give it below `flock:`")
         raise FlockError(f"{called}: {nearest(name, KNOWN)}")
     words = name == "coupling" or name.endswith(".model")
@@ -196,12 +185,10 @@ def _range(called: str, given: Mapping[Any, Any]) -> list[Value]:
 
 
 def _number(called: str, value: Any) -> float:
-    if isinstance(value, int | float | str) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except (ValueError, OverflowError):
-            pass
-    raise FlockError(f"{called}: value {value!r} must be a number")
+    try:
+        return number_of(value)
+    except ValueError:
+        raise FlockError(f"{called}: value {value!r} must be a number") from None
 
 
 def _told(values: list[Value]) -> str:

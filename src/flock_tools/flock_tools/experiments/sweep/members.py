@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from flock_sim.configuration.flock_configuration import EXAMPLES, FlockConfiguration
+from flock_sim.configuration import span_ratios
+from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.links import settings
 from flock_sim.links.keys import INTERVAL, SEPARATOR
 from flock_sim.links.registry import MODELS
-from flock_sim.links.settings import parted
 
 MOST_RECORDS = 20
 """Largest number of recorded rows after the start of a flight. A kill loses only a part of a
@@ -30,11 +31,9 @@ class Link:
     @classmethod
     def read(cls, entry: str) -> Link:
         """Return the parts of a valid entry of `links`."""
-        link, what = parted(entry)
+        link, model, items = settings.parted(entry)
         birds = f"{link[0]}->{link[1]}" if link else ""
-        model, _, rest = what.partition(":")
-        values = dict(item.split("=", 1) for item in rest.split(",")) if rest else {}
-        return cls(birds, model, values)
+        return cls(birds, model, dict(items))
 
     def having(self, key: str, value: str) -> Link:
         """Return this link with `key`, or its model, set to another value."""
@@ -70,8 +69,8 @@ class Member:
             links = {**(links if link.birds else {}), link.birds: link}
         parameters = configuration.parameters()
         return cls(
-            {key: value for key, value in parameters.items() if key not in EXAMPLES},
-            {int(bird): ratio for bird, _, ratio in _parted(configuration.span_ratios)},
+            {key: value for key, value in parameters.items() if key not in LISTS},
+            dict(map(span_ratios.parted, configuration.span_ratios)),
             tuple(sorted(links.values(), key=lambda link: link.birds != "")),
             tuple((push.bird, "@" + str(push).partition("@")[2]) for push in configuration.pushes),
         )
@@ -154,7 +153,3 @@ def _pushes(members: Sequence[Member]) -> Iterator[str]:
 
 def _once_or_all(values: Sequence[str]) -> str:
     return values[0] if len(set(values)) == 1 else SEPARATOR.join(values)
-
-
-def _parted(entries: Sequence[str]) -> Iterator[tuple[str, str, str]]:
-    return (entry.partition("=") for entry in entries)
