@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.span_ratios import entries
 from flock_sim.theory.span_limits import NO_GAP, End, exact_limits, modified_birds, search
 from support.steady_flocks import (
     H_0,
@@ -176,9 +177,9 @@ def worst_share(ratios, coupling):
 @pytest.mark.parametrize("birds", [3, 5])
 def test_limits_of_any_flock_are_where_some_birds_can_just_keep_up(birds, coupling):
     ratios = random_ratios(seed=1, birds=birds, members=1, spread=0.01)[:, 0].round(4).tolist()
-    entries = tuple(f"{bird}={ratio}" for bird, ratio in enumerate(ratios, 1))
+    given = entries(np.array(ratios)[:, np.newaxis])
     found = limits_of(
-        birds, modified=range(1, birds + 1), coupling=coupling, span_ratios=entries, low=0.7
+        birds, modified=range(1, birds + 1), coupling=coupling, span_ratios=given, low=0.7
     )
     assert worst_share(ratios, coupling) < 1.0
     told = 0

@@ -227,13 +227,6 @@ MEANING = {
 """The meaning of each key, in full."""
 
 
-KEYS = {
-    field.name: Parameter(field.default, MEANING[field.name], **LIMITS.get(field.name, {}))
-    for field in fields(FlockConfiguration)
-}
-"""The keys of the configuration file."""
-
-
 def _whole_steps(t_max: float, dt: float) -> bool:
     """Whether a flight time is a whole number of steps, apart from the rounding of decimals."""
     steps = t_max / dt

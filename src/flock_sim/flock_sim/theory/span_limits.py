@@ -89,7 +89,7 @@ def exact_limits(
         """Add the parts of a flock beyond the limit; at the limit many gaps can be equally weak."""
         if end is None or end.gap is None:
             return end
-        beyond = _modified(configuration, [bird], [end.ratio + outwards * BEYOND])
+        beyond = modified_span_ratios(configuration, [bird], [end.ratio + outwards * BEYOND])
         flock = Flock.of(configuration, beyond)
         state = equilibrium(flock)
         groups = parts(flock, state, 0)
@@ -150,7 +150,9 @@ def search(
         marks = np.linspace(first, high, grid + 1) if first < high else np.empty(0)
         tried.append(np.unique(np.append(marks, within)))
     counts = [len(ratios) for ratios in tried]
-    gaps = trial(_modified(configuration, np.repeat(birds, counts), np.concatenate(tried)))
+    gaps = trial(
+        modified_span_ratios(configuration, np.repeat(birds, counts), np.concatenate(tried))
+    )
     verdicts: dict[int, dict[float, int]] = {bird: {} for bird in birds}
 
     never = set()
@@ -201,7 +203,9 @@ def _narrow(
             [np.linspace(b.inside, b.outside, sections + 1)[1:-1] for b in wide]
         )  # (brackets, sections - 1)
         birds = np.repeat([bracket.bird for bracket in wide], ratios.shape[1])
-        gaps = trial(_modified(configuration, birds, ratios.ravel())).reshape(ratios.shape)
+        gaps = trial(modified_span_ratios(configuration, birds, ratios.ravel())).reshape(
+            ratios.shape
+        )
         for bracket, between, opened in zip(wide, ratios, gaps):
             verdicts[bracket.bird].update(zip(between.tolist(), opened.tolist()))
             for ratio, gap in zip(between, opened):
@@ -211,7 +215,7 @@ def _narrow(
                 bracket.inside = float(ratio)
 
 
-def _modified(
+def modified_span_ratios(
     configuration: FlockConfiguration,
     birds: Sequence[int] | IntArray,
     ratios: Sequence[float] | FloatArray,

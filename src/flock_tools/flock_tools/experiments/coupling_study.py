@@ -17,6 +17,7 @@ from flock_sim.reference.integrator import Reference
 from flock_sim.theory.delay_stability import steady_flight
 from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
 from flock_sim.theory.delayed_nearest import delayed_nearest
+from flock_sim.theory.span_limits import modified_span_ratios
 from flock_tools.experiments.workers import workers
 
 BoolArray = npt.NDArray[np.bool_]
@@ -140,10 +141,12 @@ def held(model: str, key: str, value: float) -> Held:
         birds=BIRDS,
         t_max=T_LIMITS,
         record_every=100,
-        span_ratios=(f"{MODIFIED}=" + ",".join(map(repr, ratios)),),
         links=(f"{model}:{key}={value:g}",),
     )
-    extent = np.array([np.ptp(state.position, axis=0) for state in Reference(configuration).fly()])
+    flight = Reference(
+        configuration, modified_span_ratios(configuration, [MODIFIED] * len(ratios), ratios)
+    )
+    extent = np.array([np.ptp(state.position, axis=0) for state in flight.fly()])
     ends = _mean_about(extent, 0.5), _mean_about(extent, 0.95)
     with np.errstate(invalid="ignore"):
         together = (ends[1] - ends[0]) / (0.45 * T_LIMITS) < STABLE_BELOW
@@ -172,9 +175,8 @@ def late_limits(lag: float) -> tuple[float, float]:
     configuration = FlockConfiguration(birds=BIRDS)
 
     def flies(ratio: float) -> bool:
-        column = np.ones((BIRDS, 1))
-        column[MODIFIED - 1] = ratio
-        return bool(np.isfinite(delayed_nearest(Flock.of(configuration, column), lag).speed))
+        flock = Flock.of(configuration, modified_span_ratios(configuration, [MODIFIED], [ratio]))
+        return bool(np.isfinite(delayed_nearest(flock, lag).speed))
 
     def end(inside: float, outside: float) -> float:
         while abs(outside - inside) > 1e-6:

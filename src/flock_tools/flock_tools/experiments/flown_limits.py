@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from flock_sim.configuration import span_ratios
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
 from flock_sim.launcher.flight import Plan, begin_bag, fly, on_ros
@@ -95,10 +96,7 @@ class _FlightTrial:
         flown = replace(
             undisturbed(self.configuration),
             record_every=recorded_every(self.configuration.steps),
-            span_ratios=tuple(
-                f"{bird}={','.join(map(repr, ratios.tolist()))}"
-                for bird, ratios in enumerate(span_ratio, 1)
-            ),
+            span_ratios=span_ratios.entries(span_ratio),
         )
         bag = self.how.bag or directory / "bag"
         begun = time.monotonic()

@@ -16,6 +16,7 @@ from matplotlib.ticker import MultipleLocator
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
 from flock_sim.theory.equilibrium import Equilibrium, equilibrium
+from flock_sim.theory.span_limits import modified_span_ratios
 from flock_tools.figures.style import BLUE, INK, PAGE, PRINT_STYLE, VERMILLION
 from flock_tools.figures.table import Table
 
@@ -35,16 +36,11 @@ LOOKS: tuple[dict[str, Any], ...] = (
 
 def modified_flocks() -> dict[int, Equilibrium]:
     """Return the steady states for each modified bird. Their members are the values of lambda."""
+    flock = FlockConfiguration(birds=BIRDS)
     return {
-        bird: equilibrium(
-            Flock.of(FlockConfiguration(birds=BIRDS, span_ratios=(_entry(bird, ratios),)))
-        )
+        bird: equilibrium(Flock.of(flock, modified_span_ratios(flock, [bird] * len(ratios), ratios)))
         for bird, ratios in CASES.items()
     }
-
-
-def _entry(bird: int, ratios: Sequence[float]) -> str:
-    return f"{bird}={','.join(f'{ratio:g}' for ratio in ratios)}"
 
 
 def modified_table(data: dict[int, Equilibrium]) -> Table:
