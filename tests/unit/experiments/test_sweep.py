@@ -193,6 +193,14 @@ def test_the_end_is_recorded_and_not_many_steps_before_it(steps: int) -> None:
 
 
 @pytest.mark.parametrize(
+    ("steps", "every"),
+    [(1, 1), (7, 1), (20, 1), (100000, 5000), (23, 23), (46, 23), (10007, 10007)],
+)
+def test_the_last_step_is_among_few_that_are_recorded(steps: int, every: int) -> None:
+    assert record_every(steps) == every
+
+
+@pytest.mark.parametrize(
     ("axes", "flock", "words"),
     [
         ({}, {}, ["`axes:` must hold one or more"]),
@@ -334,9 +342,7 @@ def flown(swept: Sweep, directory: Path) -> xr.Dataset:
     flights = swept.flights(5)
     bags = [SweepDirectory(directory).bag(flight) for flight in flights]
     for flight, bag in zip(flights, bags, strict=True):
-        with recording(bag, flight.configuration, grants=False) as run:
-            for recorded in Reference(flight.configuration).fly():
-                run.write_row(row(flight.configuration, recorded))
+        record(bag, flight.configuration)
     return dataset(swept, flights, bags, "./flock sweep s.yaml")
 
 

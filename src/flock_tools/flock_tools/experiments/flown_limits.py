@@ -22,9 +22,7 @@ from flock_sim.recording.output_directory import own_output
 from flock_sim.recording.run import Run
 from flock_sim.theory.span_limits import Limits, search
 from flock_tools.experiments.ensemble import gaps_at_end, undisturbed
-
-ROWS = 20
-"""Largest number of recording intervals: after a killed process the flock rewinds by one."""
+from flock_tools.experiments.sweep.members import record_every
 
 
 @dataclass(frozen=True)
@@ -65,11 +63,6 @@ def flown_limits(
     }
 
 
-def recorded_every(steps: int) -> int:
-    """Return the steps between recorded states. States are few, and include the last step."""
-    return steps // next(rows for rows in range(min(ROWS, steps), 0, -1) if steps % rows == 0)
-
-
 @dataclass
 class _FlightTrial:
     """Tries span ratios in a single flight."""
@@ -95,7 +88,7 @@ class _FlightTrial:
         """Fly to t_max. Return the speeds there, shape (birds, members)."""
         flown = replace(
             undisturbed(self.configuration),
-            record_every=recorded_every(self.configuration.steps),
+            record_every=record_every(self.configuration.steps),
             span_ratios=span_ratios.entries(span_ratio),
         )
         bag = self.how.bag or directory / "bag"
