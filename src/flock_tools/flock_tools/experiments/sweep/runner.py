@@ -3,23 +3,18 @@
 
 from __future__ import annotations
 
-import ctypes
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 
 from flock_sim.console.arguments import note
+from flock_sim.console.signals import end_with_parent
 from flock_sim.errors import RunFailed
 from flock_tools.experiments.sweep.directory import SweepDirectory
 from flock_tools.experiments.sweep.specification import Flight
 
-PR_SET_PDEATHSIG = 1
-
 GRACE = 15.0
 """Longest wait for a flight to end before SIGTERM, and then before SIGKILL, in s."""
-
-_libc = ctypes.CDLL(None)
 
 
 def fly_all(flights: Sequence[Flight], directory: SweepDirectory, how: Sequence[str]) -> int:
@@ -60,7 +55,7 @@ def _fly(arguments: Sequence[str], lock: int) -> int:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         pass_fds=[lock],
-        preexec_fn=_follow_parent,
+        preexec_fn=end_with_parent,
     ) as process:
         try:
             return process.wait()
@@ -77,7 +72,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             return
         except subprocess.TimeoutExpired:
             harder()
-
-
-def _follow_parent() -> None:
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
