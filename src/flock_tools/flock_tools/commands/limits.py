@@ -15,7 +15,6 @@ from flock_sim.configuration.options import add_flock_options, flock_configurati
 from flock_sim.console.arguments import (
     TIMEOUT,
     Parser,
-    numbers,
     positive_number,
     print_json,
     run_tool,
@@ -25,6 +24,12 @@ from flock_sim.console.arguments import (
 )
 from flock_sim.errors import FlockError, nearest
 from flock_sim.launcher.partition import process_count
+from flock_tools.commands.options import (
+    add_picture_options,
+    add_scheduler_option,
+    check_links_exact,
+    two_numbers,
+)
 from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -61,9 +66,6 @@ PROCESSES = "2"
 LEAST_RESOLUTION = 1e-12
 """Smallest --resolution: below it, rounding stops the bisection of a span ratio."""
 
-LANES = 8
-"""Members per worker and round: a single member costs twice as much."""
-
 DESCRIPTION = """\
 Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
 in formation, and the gap that opens at each end.
@@ -87,79 +89,13 @@ EXAMPLES = """\
 
 def tool(arguments: Sequence[str]) -> int:
     """Find the limits and print them."""
-    parser = Parser("limits", DESCRIPTION, EXAMPLES)
-    add_flock_options(parser)
-    limits = parser.add_argument_group("limits")
-    limits.add_argument("--method", metavar="|".join(METHODS), default="exact", help="(exact)")
-    limits.add_argument(
-        "--bird", metavar="I[,I...]", help="birds that are modified (the left wing, or all)"
-    )
-    limits.add_argument(
-        "--between",
-        metavar="LO,HI",
-        default=BETWEEN,
-        help=f"span ratios that are searched ({BETWEEN})",
-    )
-    limits.add_argument(
-        "--resolution",
-        metavar="X",
-        help=f"width that intervals of integrate are halved to ({RESOLUTION})",
-    )
-    limits.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose cluster integrates (the cores of this machine)",
-    )
-    limits.add_argument(
-        "--points",
-        metavar="N",
-        help=f"span ratios tried a bird, evenly spaced: all of fly ({GRID}), the first of "
-        f"integrate ({ENDS})",
-    )
-    limits.add_argument(
-        "--processes", metavar="P", help=f"processes for the birds of fly ({PROCESSES})"
-    )
-    limits.add_argument(
-        "--timeout", metavar="S", help=f"longest standstill of fly, in s ({TIMEOUT})"
-    )
-    limits.add_argument(
-        "--bag", metavar="DIR", type=Path, help="keep the bag of fly in this new directory"
-    )
-    result = parser.add_argument_group("result")
-    result.add_argument(
-        "--output", metavar="FILE", type=Path, help="draw the diagram: png, svg, pdf"
-    )
-    result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     _check_method(options)
     configuration = _flock(options)
     birds = _birds(options, configuration)
     low, high = _between(options)
     check_picture(options.output)
-    if options.method == "exact":
-        from flock_sim.launcher.precompile import warm_equilibrium
-        from flock_sim.physics.flock import Flock
-        from flock_sim.theory.equilibrium import equilibrium
-        from flock_sim.theory.span_limits import exact_limits
-
-        warm_equilibrium(configuration.coupling)
-        begun = time.perf_counter()
-        found = exact_limits(configuration, birds, low, high)
-        how: dict[str, Any] = {"seconds": time.perf_counter() - begun}
-        how["as_given"] = bool(equilibrium(Flock.of(configuration)).exists[0])
-    elif options.method == "integrate":
-        found, how = _integrate(options, configuration, birds, low, high)
-    else:
-        from flock_tools.experiments.flown_limits import flown_limits
-
-        found, how = flown_limits(
-            configuration,
-            birds,
-            low,
-            high,
-            _points(options, GRID),
-            _how_flown(options, configuration),
-        )
+    found, how = _found(options, configuration, birds, low, high)
 
     from flock_tools.experiments.limits_text import as_json, described
 
@@ -184,54 +120,75 @@ def tool(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _integrate(
+def _parser() -> Parser:
+    parser = Parser("limits", DESCRIPTION, EXAMPLES)
+    add_flock_options(parser)
+    limits = parser.add_argument_group("limits")
+    limits.add_argument("--method", metavar="|".join(METHODS), default="exact", help="(exact)")
+    limits.add_argument(
+        "--bird", metavar="I[,I...]", help="birds that are modified (the left wing, or all)"
+    )
+    limits.add_argument(
+        "--between",
+        metavar="LO,HI",
+        default=BETWEEN,
+        help=f"span ratios that are searched ({BETWEEN})",
+    )
+    limits.add_argument(
+        "--resolution",
+        metavar="X",
+        help=f"width that intervals of integrate are halved to ({RESOLUTION})",
+    )
+    add_scheduler_option(limits, "integrates")
+    limits.add_argument(
+        "--points",
+        metavar="N",
+        help=f"span ratios tried a bird, evenly spaced: all of fly ({GRID}), the first of "
+        f"integrate ({ENDS})",
+    )
+    limits.add_argument(
+        "--processes", metavar="P", help=f"processes for the birds of fly ({PROCESSES})"
+    )
+    limits.add_argument(
+        "--timeout", metavar="S", help=f"longest standstill of fly, in s ({TIMEOUT})"
+    )
+    limits.add_argument(
+        "--bag", metavar="DIR", type=Path, help="keep the bag of fly in this new directory"
+    )
+    add_picture_options(parser, "draw the diagram")
+    return parser
+
+
+def _found(
     options: argparse.Namespace,
     configuration: FlockConfiguration,
     birds: Sequence[int],
     low: float,
     high: float,
 ) -> tuple[list[Limits], dict[str, Any]]:
-    """Return the limits by the paper's protocol, and facts of the search."""
-    from flock_sim.console.progress import counter
-    from flock_sim.launcher.precompile import warm_reference
-    from flock_sim.theory.span_limits import search
-    from flock_tools.experiments.ensemble import Ensembles
-    from flock_tools.experiments.workers import workers
+    """Return the limits by the method of the options, and facts of how they were found."""
+    searched = configuration, birds, low, high
+    if options.method == "integrate":
+        from flock_tools.experiments.integrated_limits import integrated_limits
 
-    resolution = _resolution(RESOLUTION if options.resolution is None else options.resolution)
-    points = _points(options, ENDS)
-    warm_reference()  # the rate does not include loading compiled code
-    with workers(options.scheduler) as pool:
-        # Bisection if that keeps all workers busy, otherwise more sections per round.
-        sections = max(2, 1 + pool.count * LANES // (2 * len(birds)))
-        width = (high - low) / (points - 1)
-        rounds = math.ceil(math.log(width / resolution) / math.log(sections))
-        trials = 1 + len(birds) * (points + 1 + 2 * max(0, rounds) * (sections - 1))
-        with counter("integrating", "member-steps", trials * configuration.steps) as show:
-            fleet = Ensembles(configuration, pool, show)
-            begun = time.perf_counter()
-            found = search(
-                configuration,
-                birds,
-                low,
-                high,
-                resolution,
-                fleet.opened_gaps,
-                points - 1,
-                sections,
-            )
-            as_given = not fleet.opened_gaps(configuration.span_ratio)[0]
-            seconds = time.perf_counter() - begun
-    return found, {
-        "as_given": as_given,
-        "resolution": resolution,
-        "dt": configuration.dt,
-        "t_max": configuration.t_max,
-        "workers": pool.count,
-        "seconds": seconds,
-        "member_steps": fleet.member_steps,
-        "member_steps_per_second": fleet.member_steps / seconds,
-    }
+        resolution, points = _resolution(options), _points(options, ENDS)
+        return integrated_limits(*searched, points, resolution, options.scheduler)
+    if options.method == "fly":
+        from flock_tools.experiments.flown_limits import flown_limits
+
+        return flown_limits(*searched, _points(options, GRID), _how_flown(options, configuration))
+
+    from flock_sim.launcher.precompile import warm_equilibrium
+    from flock_sim.physics.flock import Flock
+    from flock_sim.theory.equilibrium import equilibrium
+    from flock_sim.theory.span_limits import exact_limits
+
+    warm_equilibrium(configuration.coupling)
+    begun = time.perf_counter()
+    found = exact_limits(*searched)
+    seconds = time.perf_counter() - begun
+    as_given = bool(equilibrium(Flock.of(configuration)).exists[0])
+    return found, {"seconds": seconds, "as_given": as_given}
 
 
 def _check_method(options: argparse.Namespace) -> None:
@@ -267,8 +224,6 @@ def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -
 
 
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
-    from flock_tools.commands.options import check_links_exact
-
     configuration = flock_configuration(options)
     check_links_exact(configuration, "limits")
     if configuration.birds < 2:
@@ -290,8 +245,7 @@ def _birds(options: argparse.Namespace, configuration: FlockConfiguration) -> li
 
 
 def _between(options: argparse.Namespace) -> tuple[float, float]:
-    ends = numbers(options.between)
-    low, high = ends if len(ends) == 2 else (math.nan, math.nan)
+    low, high = two_numbers(options.between)
     if not 0.0 < low < high < math.inf:
         raise FlockError(
             f"--between {shown(options.between)}: must be two span ratios LO,HI with 0 < LO < HI, "
@@ -300,7 +254,8 @@ def _between(options: argparse.Namespace) -> tuple[float, float]:
     return low, high
 
 
-def _resolution(text: str) -> float:
+def _resolution(options: argparse.Namespace) -> float:
+    text = RESOLUTION if options.resolution is None else options.resolution
     try:
         resolution = float(text)
     except ValueError:

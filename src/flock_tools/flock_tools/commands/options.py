@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several tools have, and a check of what they are given."""
+"""Options that several tools have, and checks of what they are given."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flock_sim.console.arguments import shown
+from flock_sim.console.arguments import numbers, shown
 from flock_sim.errors import FlockError
 
 if TYPE_CHECKING:
@@ -32,6 +33,28 @@ def moment(options: argparse.Namespace) -> float | None:
     if not 0.0 <= time < math.inf:
         raise FlockError(f"--at {shown(options.at)}: must be a finite time, 0 or more")
     return time
+
+
+def add_scheduler_option(group: argparse._ArgumentGroup, does: str) -> None:
+    """Add --scheduler; `does` is what a cluster does for the tool, such as "computes"."""
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help=f"Dask scheduler whose cluster {does} (the cores of this machine)",
+    )
+
+
+def add_picture_options(parser: argparse.ArgumentParser, told: str) -> None:
+    """Add --output, the file of a picture, and --json; `told` is what --output does."""
+    result = parser.add_argument_group("result")
+    result.add_argument("--output", metavar="FILE", type=Path, help=f"{told}: png, svg, pdf")
+    result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+
+
+def two_numbers(text: str) -> tuple[float, float]:
+    """Return the two numbers in `text`, between a comma; nan if it has not two numbers."""
+    ends = numbers(text)
+    return (ends[0], ends[1]) if len(ends) == 2 else (math.nan, math.nan)
 
 
 def check_links_exact(configuration: FlockConfiguration, tool: str) -> None:

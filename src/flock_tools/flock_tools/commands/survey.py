@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flock_sim.configuration.choices import COUPLINGS
-from flock_sim.configuration.options import flock_configuration
+from flock_sim.configuration.options import (
+    add_config_option,
+    add_flock_option,
+    flock_configuration,
+)
 from flock_sim.console.arguments import (
     Parser,
     numbers,
@@ -24,6 +25,12 @@ from flock_sim.console.arguments import (
     whole_numbers,
 )
 from flock_sim.errors import FlockError
+from flock_tools.commands.options import (
+    add_picture_options,
+    add_scheduler_option,
+    check_links_exact,
+    two_numbers,
+)
 from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -96,11 +103,9 @@ def tool(arguments: Sequence[str]) -> int:
 def _parser() -> Parser:
     parser = Parser("survey", DESCRIPTION, EXAMPLES)
     drawn = parser.add_argument_group("survey")
-    drawn.add_argument("--config", metavar="FILE", type=Path, help="ROS 2 parameter file")
+    add_config_option(drawn)
     drawn.add_argument("--birds", metavar="N[,N...]", help=f"numbers of birds ({SIZES})")
-    drawn.add_argument(
-        "--coupling", metavar="|".join(COUPLINGS), help="whom a bird feels (nearest)"
-    )
+    add_flock_option(drawn, "coupling")
     which = drawn.add_mutually_exclusive_group()
     which.add_argument(
         "--spread",
@@ -113,14 +118,8 @@ def _parser() -> Parser:
         "--samples", metavar="K", default=SAMPLES, help=f"flocks of each kind ({SAMPLES})"
     )
     drawn.add_argument("--seed", metavar="SEED", default="0", help="of the random numbers (0)")
-    drawn.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose cluster computes (the cores of this machine)",
-    )
-    result = parser.add_argument_group("result")
-    result.add_argument("--output", metavar="FILE", type=Path, help="draw it: png, svg, pdf")
-    result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    add_scheduler_option(drawn, "computes")
+    add_picture_options(parser, "draw it")
     return parser
 
 
@@ -162,8 +161,6 @@ def _worst(population: Population) -> str:
 
 def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
     """Return a standard flock for each requested size."""
-    from flock_tools.commands.options import check_links_exact
-
     sizes, options.birds = options.birds, None
     flock = flock_configuration(options)
     if flock.span_ratios:
@@ -182,8 +179,7 @@ def _distributions(options: argparse.Namespace) -> list[Distribution]:
     from flock_tools.experiments.random_flocks import LARGEST, SMALLEST, Distribution
 
     if options.uniform is not None:
-        ends = numbers(options.uniform)
-        low, high = ends if len(ends) == 2 else (math.nan, math.nan)
+        low, high = two_numbers(options.uniform)
         if not SMALLEST <= low < high <= LARGEST:
             raise FlockError(
                 f"--uniform {shown(options.uniform)}: must be two span ratios LO,HI with "

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flock_sim.console.arguments import (
+    TIMEOUT,
     Parser,
     note,
     positive_number,
@@ -133,8 +134,8 @@ def _parser() -> Parser:
     how.add_argument(
         "--timeout",
         metavar="S",
-        default="60",
-        help="longest standstill of a flight before giving up, in s (60)",
+        default=TIMEOUT,
+        help=f"longest standstill of a flight before giving up, in s ({TIMEOUT})",
     )
     return parser
 
