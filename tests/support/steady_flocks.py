@@ -84,14 +84,19 @@ def saved(y, one, other, speed, strength=STRENGTH, of=math):
     return strength * (one * other) ** 2 / speed**2 * even(y, A * one, A * other, of)
 
 
-def forces(positions, speeds, ratios, coupling="nearest", *, h_0=H_0, strength=STRENGTH, of=math):
-    """(T_j - D_j - sum_i D_ij) / k of every bird, from Eq. (eom3)."""
+def forces(
+    positions, speeds, ratios, coupling="nearest", *, lag=0, h_0=H_0, strength=STRENGTH, of=math
+):
+    """(T_j - D_j - sum_i D_ij) / k of every bird, from Eq. (eom3).
+
+    Birds see each other where they were a `lag` ago, at the same speeds.
+    """
     lateral = across(ratios)
     force = [surplus(ratio, speed, h_0) for ratio, speed in zip(ratios, speeds)]
     for i, j in pairs(len(ratios), coupling):
         for source, target in ((i, j), (j, i)):
             force[target] -= drag(
-                positions[source] - positions[target],
+                positions[source] - speeds[source] * lag - positions[target],
                 lateral[source] - lateral[target],
                 ratios[source],
                 ratios[target],

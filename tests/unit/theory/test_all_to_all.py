@@ -1,51 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steady state of all-to-all coupling: the balance of forces, uniqueness, and existence."""
 
+from functools import partial
 from math import nan
 
-import mpmath
 import numpy as np
 import pytest
-from mpmath import mp
-from scipy.optimize import root
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.flock import Flock
 from flock_sim.theory import all_to_all
-from flock_sim.theory.equilibrium import Equilibrium, equilibrium
-from support.steady_flocks import A, forces, positions_of, random_ratios, shares_of_all_sets
+from flock_sim.theory.equilibrium import equilibrium
+from support import steady_states
+from support.steady_flocks import A, random_ratios, shares_of_all_sets
+from support.steady_states import flock_of, largest_force
 
-
-def flock_of(birds, ratios=None, **parameters) -> Flock:
-    return Flock.of(FlockConfiguration(birds=birds, coupling="all", **parameters), ratios)
-
-
-def steady(birds, ratios=None, **parameters) -> Equilibrium:
-    return equilibrium(flock_of(birds, ratios, **parameters))
+steady = partial(steady_states.steady, coupling="all")
 
 
 # --- the balance of forces ---
-
-
-@pytest.mark.parametrize("birds", [2, 3, 4, 5, 8])
-def test_state_is_the_one_that_a_root_finder_finds(birds):
-    # As for nearest neighbours: 1e-16 of forces, stiffnesses of 1e-4 and more, some N of them.
-    ratios = random_ratios(seed=birds, birds=birds, members=60, spread=0.02)
-    state = steady(birds, ratios)
-    members = np.flatnonzero(state.margin > 0.01)[:20]
-    assert len(members) == 20
-    for member in members:
-        column = ratios[:, member].tolist()
-
-        def balance(unknown, column=column):
-            places = positions_of(unknown[1:]).tolist()
-            return forces(places, [unknown[0]] * birds, column, "all")
-
-        shape_of_v = [0.5 if gap < birds // 2 else -0.5 for gap in range(birds - 1)]
-        found = root(balance, [1.1, *shape_of_v], tol=1e-14).x
-        again = root(balance, found, tol=1e-15).x
-        np.testing.assert_allclose(state.speed[member], again[0], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(state.spacing[:, member], again[1:], rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("birds", [2, 3, 5, 8, 13])
@@ -56,16 +27,9 @@ def test_nobody_is_pulled_forward_or_back(birds):
     ratios[:, 0] = 1.0
     state = steady(birds, ratios)
     assert state.exists[0]
-    with mpmath.workdps(30):
-        for member in np.flatnonzero(state.exists):
-            force = forces(
-                [mp.mpf(x) for x in positions_of(state.spacing[:, member])],
-                [mp.mpf(state.speed[member])] * birds,
-                [mp.mpf(ratio) for ratio in ratios[:, member]],
-                "all",
-                of=mp,
-            )
-            assert max(abs(value) for value in force) < 1e-12
+    for member in np.flatnonzero(state.exists):
+        state_of_member = state.spacing[:, member], state.speed[member], ratios[:, member]
+        assert largest_force(*state_of_member, "all") < 1e-12
 
 
 # --- one state at most, found from anywhere ---
@@ -77,7 +41,7 @@ def test_the_search_ends_in_the_same_state_from_anywhere(birds):
     # What the forces of a convex function promise. The finder's own promise is 1e-12 of the size of
     # the flock; a soft gap, 1e-3 of the others' stiffness, may carry 1000 times the rounding.
     ratios = random_ratios(seed=birds, birds=birds, members=6, spread=0.01)
-    flock = flock_of(birds, ratios)
+    flock = flock_of(birds, ratios, coupling="all")
     state = equilibrium(flock)
     assert state.exists.sum() >= 3
     square, share = np.empty(6), np.empty((birds - 1, 6))
@@ -116,7 +80,7 @@ def test_the_search_ends_in_the_same_state_from_anywhere(birds):
 def test_two_birds_fly_as_their_only_pair():
     ratios = random_ratios(seed=1, birds=2, members=50, spread=0.05)
     state = steady(2, ratios)
-    chain = equilibrium(Flock.of(FlockConfiguration(birds=2), ratios))
+    chain = steady_states.steady(2, ratios)
     assert chain.exists.sum() > 10
     np.testing.assert_array_equal(state.exists, chain.exists)
     np.testing.assert_allclose(state.speed, chain.speed, rtol=1e-14)
@@ -125,18 +89,6 @@ def test_two_birds_fly_as_their_only_pair():
 
 
 # --- what a steady formation depends on ---
-
-
-@pytest.mark.parametrize("birds", [3, 4, 9])
-@pytest.mark.parametrize(
-    "other",
-    [{"oswald_efficiency": 0.95}, {"zero_lift_drag": 0.01}, {"aspect_ratio": 5.0}],
-    ids=str,
-)
-def test_spacing_of_standard_birds_depends_on_none_of_the_drag_parameters(birds, other):
-    # R_j is the same for all, and so sum C / N: forces are a common multiple.
-    one, two = steady(birds), steady(birds, **other)
-    np.testing.assert_allclose(two.spacing, one.spacing, rtol=0, atol=1e-10)
 
 
 def test_a_flock_of_differing_birds_depends_on_the_oswald_efficiency_only():
@@ -151,19 +103,6 @@ def test_a_flock_of_differing_birds_depends_on_the_oswald_efficiency_only():
     other = steady(5, ratios, oswald_efficiency=0.85)
     both = firm & other.exists
     assert np.all(np.abs(other.spacing - one.spacing)[:, both].max(axis=0) > 1e-3)
-
-
-@pytest.mark.parametrize("birds", [3, 6])
-def test_a_mirrored_flock_has_the_mirrored_state(birds):
-    ratios = random_ratios(seed=birds, birds=birds, members=60, spread=0.02)
-    one, other = steady(birds, ratios), steady(birds, ratios[::-1])
-    np.testing.assert_array_equal(one.exists, other.exists)
-    assert one.exists.sum() > 20
-    np.testing.assert_allclose(other.share, 1.0 - one.share[::-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(other.speed, one.speed, rtol=1e-14)
-    firm = one.margin > 0.01
-    mirrored = -one.spacing[::-1]
-    np.testing.assert_allclose(other.spacing[:, firm], mirrored[:, firm], rtol=0, atol=1e-10)
 
 
 def test_standard_birds_fly_in_a_mirrored_v():
@@ -221,7 +160,7 @@ def test_a_set_and_the_others_share_all_that_is_saved_between_them():
 def test_whom_nearest_neighbours_can_hold_all_to_all_can_hold(birds):
     # Observed, not proved: at spreads of some per cent.
     ratios = random_ratios(seed=birds, birds=birds, members=150, spread=0.02)
-    nearest = equilibrium(Flock.of(FlockConfiguration(birds=birds), ratios))
+    nearest = steady_states.steady(birds, ratios)
     everyone = steady(birds, ratios)
     assert nearest.exists.sum() > 20
     assert np.all(everyone.exists[nearest.exists])
@@ -256,5 +195,5 @@ def test_where_there_is_no_state_nothing_is_made_up():
 
 def test_a_wing_is_as_wide_as_the_paper_says():
     # The fixture of this file: pairs beyond neighbours are as far apart as the birds between.
-    flock = flock_of(3)
+    flock = flock_of(3, coupling="all")
     assert flock.lateral[:, 0].tolist() == pytest.approx([1.0 + A, 2.0 * (1.0 + A), 1.0 + A])

@@ -12,12 +12,13 @@ from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
 from flock_sim.theory.breakup import opening_gap, parts
 from flock_sim.theory.equilibrium import equilibrium
-from support.steady_flocks import STRENGTH, TIP, A, even, random_ratios, surplus
+from support.steady_flocks import pair_of, random_ratios, surplus
+from support.steady_states import flock_of
 
 
 def parted(ratios, **parameters):
     """The parts of each member, and the gap that is named for it."""
-    flock = Flock.of(FlockConfiguration(birds=len(ratios), **parameters), ratios)
+    flock = flock_of(len(ratios), ratios, **parameters)
     state = equilibrium(flock)
     groups = [parts(flock, state, member) for member in range(flock.members)]
     return groups, [opening_gap(state, group, m) for m, group in enumerate(groups)], state
@@ -87,10 +88,6 @@ def test_flocks_without_a_formation_come_apart_at_the_gap_that_is_named_all_to_a
 CLOSED, TAIL_AHEAD, HEAD_AHEAD = 0, 1, -1
 
 
-def even_of(one, other):
-    return even(one + other + TIP, A * one, A * other)
-
-
 def speeds_apart(ratios, gaps):
     """The birds' speeds if each open gap parts as `gaps` says, or None where that is impossible.
 
@@ -119,10 +116,9 @@ def speeds_apart(ratios, gaps):
             def total(speed):
                 force = sum(surplus(ratios[i], speed) for i in group)
                 for i, j in pairwise(group):
-                    saving = STRENGTH * (ratios[i] * ratios[j]) ** 2 * even_of(ratios[i], ratios[j])
-                    force -= saving / speed**2
+                    force -= pair_of(ratios[i], ratios[j], speed)
                 for i, j in ahead:
-                    saving = STRENGTH * (ratios[i] * ratios[j]) ** 2 * even_of(ratios[i], ratios[j])
+                    saving = pair_of(ratios[i], ratios[j], 1.0)
                     force -= saving / (speed * (speeds[j] or np.nan))
                 return force
 
@@ -142,8 +138,7 @@ def is_possible(ratios, gaps, speeds):
     carried = 0.0
     for gap, way in enumerate(gaps):
         one, other = ratios[gap], ratios[gap + 1]
-        pair = STRENGTH * (one * other) ** 2 * even_of(one, other)
-        pair /= speeds[gap] * speeds[gap + 1]
+        pair = pair_of(one, other, 1.0) / (speeds[gap] * speeds[gap + 1])
         share = (carried + surplus(one, speeds[gap])) / pair
         expected = {TAIL_AHEAD: 0.0, HEAD_AHEAD: 1.0}.get(way)
         if expected is None:

@@ -9,8 +9,6 @@ import pytest
 from mpmath import mp
 from scipy.optimize import root
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.flock import Flock
 from flock_sim.theory.delay_stability import crossings, delayed_linearisation, growth, steady_flight
 from flock_sim.theory.delayed_linearisation import MODELS
 from flock_sim.theory.equilibrium import equilibrium
@@ -27,16 +25,12 @@ from support.steady_flocks import (
     positions_of,
     surplus,
 )
+from support.steady_states import flock_of, rate_and_frequency
 
 MIXED = [1.002, 0.998, 1.004, 1.0]
 
 CRITICAL_LINEAR = 41.787076604105
 """Lag at which three geese that move on what they see lose stability, in b / U_min."""
-
-
-def flock_of(birds, ratios=None, **parameters) -> Flock:
-    column = None if ratios is None else np.array(ratios, dtype=float)[:, np.newaxis]
-    return Flock.of(FlockConfiguration(birds=birds, **parameters), column)
 
 
 def closest(found, value):
@@ -336,10 +330,7 @@ def flown_roots(ratio, lags, model, steps_a_lag, swings):
         signal = spread[:, member] - spread[:, member + len(lags)]
         every = max(1, round(period / 8))
         late = signal[len(signal) // 2 :: every]
-        table = np.column_stack([late[1:-1], late[:-2]])
-        twice, square = np.linalg.lstsq(table, late[2:], rcond=None)[0]
-        z = 0.5 * (twice + np.emath.sqrt(twice**2 + 4.0 * square))
-        found.append(np.log(z) / (every * flight.dt[member]))
+        found.append(rate_and_frequency(late, every * flight.dt[member]))
     return found
 
 
@@ -377,6 +368,6 @@ def test_only_known_models_lags_and_one_flock_at_a_time():
             growth(flock_of(3), -1.0, model)
     with pytest.raises(ValueError, match="hold, linear"):
         growth(flock_of(3), 1.0, "square")
-    two = Flock.of(FlockConfiguration(birds=3), np.ones((3, 2)))
+    two = flock_of(3, np.ones((3, 2)))
     with pytest.raises(ValueError, match="2 members"):
         growth(two, 1.0, "hold")

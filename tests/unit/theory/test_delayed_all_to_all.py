@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steady state of all-to-all coupling at a constant lag, against the chain and the forces."""
 
-import mpmath
+from functools import partial
+
 import numpy as np
 import pytest
-from mpmath import mp
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.flock import Flock
 from flock_sim.theory.delay_stability import crossings, growth
 from flock_sim.theory.delayed_all_to_all import delayed_all_to_all
 from flock_sim.theory.delayed_nearest import delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
-from support.steady_flocks import across, drag, positions_of, random_ratios, surplus
+from support.steady_flocks import random_ratios
+from support.steady_states import flock_of, largest_force
 
-
-def flock_of(birds, ratios=None, coupling="all"):
-    ratios = np.ones((birds, 1)) if ratios is None else ratios
-    return Flock.of(FlockConfiguration(birds=birds, coupling=coupling), ratios)
+all_coupled = partial(flock_of, coupling="all")
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.1, 1.0, 10.0])
@@ -25,28 +21,19 @@ def test_nobody_is_pulled_forward_or_back(lag):
     ratios = random_ratios(seed=3, birds=5, members=10, spread=0.005)
     ratios[:, 0] = 1.0
     for column in ratios.T:
-        spacing, speed = delayed_all_to_all(flock_of(5, column[:, np.newaxis]), lag)
-        with mpmath.workdps(30):
-            column = [mp.mpf(ratio) for ratio in column.tolist()]
-            x = [mp.mpf(value) for value in positions_of(spacing)]
-            lateral = across(column)
-            for j in range(5):
-                force = surplus(column[j], speed)
-                for i in set(range(5)) - {j}:
-                    seen, y = x[i] - speed * lag - x[j], lateral[i] - lateral[j]
-                    force -= drag(seen, y, column[i], column[j], (speed, speed), of=mp)
-                # Found to 1e-14 a bird, and rounded to as much again.
-                assert abs(force) < 2e-13
+        spacing, speed = delayed_all_to_all(all_coupled(5, column), lag)
+        # Found to 1e-14 a bird, and rounded to as much again.
+        assert largest_force(spacing, speed, column, "all", lag=lag) < 2e-13
 
 
 @pytest.mark.parametrize("birds", [2, 3, 6, 13])
 @pytest.mark.parametrize("lag", [0.2, 2.0])
 def test_newton_finds_the_chain_of_nearest_neighbours(birds, lag):
     ratios = random_ratios(seed=birds, birds=birds, members=10, spread=0.003)
-    chain = delayed_nearest(flock_of(birds, ratios, "nearest"), lag)
+    chain = delayed_nearest(flock_of(birds, ratios), lag)
     found = 0
     for member in np.flatnonzero(chain.margin > 0.01):
-        flock = flock_of(birds, ratios[:, [member]], "nearest")
+        flock = flock_of(birds, ratios[:, [member]])
         if equilibrium(flock).exists[0]:
             spacing, speed = delayed_all_to_all(flock, lag)
             found += 1
@@ -58,19 +45,19 @@ def test_newton_finds_the_chain_of_nearest_neighbours(birds, lag):
 
 def test_equals_that_see_each_other_very_late_fly_abreast():
     # All wakes are as faint, 1 / d^2, whoever is beside whom: g / d goes to 0.
-    spacing, speed = delayed_all_to_all(flock_of(5), 1000.0)
+    spacing, speed = delayed_all_to_all(all_coupled(5), 1000.0)
     assert np.all(np.abs(spacing) < 0.01)
     assert speed == pytest.approx(18.5 / 18.0, abs=1e-5)
 
 
 def test_without_a_state_there_are_no_numbers():
-    spacing, speed = delayed_all_to_all(flock_of(3, np.array([[0.6], [1.0], [1.0]])), 1.0)
+    spacing, speed = delayed_all_to_all(all_coupled(3, [0.6, 1.0, 1.0]), 1.0)
     assert np.isnan(spacing).all()
     assert np.isnan(speed)
 
 
 def test_stability_is_lost_as_with_nearest_neighbours():
-    flock = flock_of(3)
+    flock = all_coupled(3)
     assert all(growth(flock, lag, "hold") < 0.0 for lag in np.geomspace(0.03, 30.0, 7))
     (found,) = crossings(flock, np.linspace(0.0, 100.0, 6), "linear")
     assert found.lost

@@ -8,17 +8,13 @@ import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
-from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
 from flock_sim.theory.delay_stability import crossings, delayed_linearisation, steady_flight
+from support.steady_states import flock_of, rate_and_frequency
 
 BIRDS = 3
 ALIKE = np.array([1.0, -2.0, 1.0])
 """How the birds move where both wings move alike."""
-
-
-def flock() -> Flock:
-    return Flock.of(FlockConfiguration(birds=BIRDS))
 
 
 def steady_start(links: str, dt: float, t_max: float, state: tuple) -> Reference:
@@ -40,12 +36,12 @@ def test_a_held_neighbour_biases_the_steady_state_as_its_lag_says():
     steps = np.array([0.5, 0.25, 0.125])
     for dt in steps:
         delay = round(1.0 / dt)
-        late = steady_flight(flock(), (delay + 0.5) * dt, "hold")
+        late = steady_flight(flock_of(BIRDS), (delay + 0.5) * dt, "hold")
         monolith = steady_start(f"hold:delay={delay}", dt, 2e4, late)
         monolith.advance(round(2e4 / dt) - monolith.step)
         assert np.ptp(monolith.speed) < 1e-6
         flown = monolith.speed.mean()
-        by_lag.append(flown - steady_flight(flock(), 1.0, "hold")[1])
+        by_lag.append(flown - steady_flight(flock_of(BIRDS), 1.0, "hold")[1])
         by_half_a_step_more.append(flown - late[1])
     assert np.log2(np.divide(by_lag[:-1], by_lag[1:])) == pytest.approx([1.0, 1.0], abs=0.15)
     orders = np.log2(np.divide(by_half_a_step_more[:-1], by_half_a_step_more[1:]))
@@ -61,7 +57,7 @@ def flown_root(delays: list[int], dt: float, swings: int = 16) -> list[complex]:
     """
     members = len(delays)
     links = "linear:delay=" + "/".join(map(str, 2 * delays))
-    monolith = steady_start(links, dt, 1e5 * dt, steady_flight(flock(), 0.0, "linear"))
+    monolith = steady_start(links, dt, 1e5 * dt, steady_flight(flock_of(BIRDS), 0.0, "linear"))
     push = 1e-4 * np.repeat([1.0, -1.0], members)
     monolith.position += ALIKE[:, np.newaxis] * push
     period = 340.0 / dt
@@ -73,15 +69,12 @@ def flown_root(delays: list[int], dt: float, swings: int = 16) -> list[complex]:
         monolith.advance(every)
     found = []
     for late in np.array(signal)[len(signal) // 2 :].T:
-        table = np.column_stack([late[1:-1], late[:-2]])
-        twice, square = np.linalg.lstsq(table, late[2:], rcond=None)[0]
-        z = 0.5 * (twice + np.emath.sqrt(twice**2 + 4.0 * square))
-        found.append(complex(np.log(z)) / (every * dt))
+        found.append(complex(rate_and_frequency(late, every * dt)))
     return [complex(value.real, abs(value.imag)) for value in found]
 
 
 def test_three_geese_lose_stability_within_1_percent_of_the_root():
-    (crossing,) = crossings(flock(), [30.0, 60.0], "linear")
+    (crossing,) = crossings(flock_of(BIRDS), [30.0, 60.0], "linear")
     assert 2.0 * pi / crossing.frequency == pytest.approx(340.0, abs=1.0)
     off = []
     for dt in (0.25, 0.125):
@@ -91,7 +84,7 @@ def test_three_geese_lose_stability_within_1_percent_of_the_root():
         assert np.abs(lags[1:3] / crossing.lag - 1.0).max() < 0.01
         flown = flown_root(delays, dt)
         for lag, value in zip(lags, flown):
-            root = delayed_linearisation(flock(), float(lag), "linear").rightmost_roots()[0]
+            root = delayed_linearisation(flock_of(BIRDS), float(lag), "linear").rightmost_roots()[0]
             assert (value.real > 0.0) == (root.real > 0.0) == (lag > crossing.lag)
             off.append(abs(value - complex(root.real, abs(root.imag))))
     # What is left is of first order in the step, as the rate of circulation is of the step before.

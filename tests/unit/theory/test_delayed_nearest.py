@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steady state at a constant lag, against the balance of forces and against flights."""
 
-import mpmath
 import numpy as np
 import pytest
 from mpmath import mp
 from scipy.optimize import root
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.flock import Flock
 from flock_sim.theory.delayed_nearest import BALANCED, delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
 from support.delayed_flights import DelayedFlight
@@ -16,37 +13,15 @@ from support.steady_flocks import (
     H_0,
     A,
     across,
-    drag,
     even,
+    forces,
     integral,
     positions_of,
     random_ratios,
     saved,
     surplus,
 )
-
-
-def flock_of(birds, ratios=None, members=1, **parameters):
-    ratios = np.ones((birds, members)) if ratios is None else ratios
-    return Flock.of(FlockConfiguration(birds=birds, **parameters), ratios)
-
-
-def forces(positions, speed, ratios, lag, *, h_0=H_0, of=np):
-    """(T_j - D_j - sum_i D_ij) / k of birds that see each other where they were a lag ago."""
-    lateral = across(ratios)
-    force = [surplus(ratio, speed, h_0) for ratio in ratios]
-    for i in range(len(ratios) - 1):
-        for source, target in ((i, i + 1), (i + 1, i)):
-            force[target] -= drag(
-                positions[source] - speed * lag - positions[target],
-                lateral[source] - lateral[target],
-                ratios[source],
-                ratios[target],
-                (speed, speed),
-                of=of,
-            )
-    return force
-
+from support.steady_states import flock_of, largest_force
 
 # --- the balance of forces ---
 
@@ -85,18 +60,10 @@ def test_nobody_is_pulled_forward_or_back_however_different_the_birds(birds, lag
     state = delayed_nearest(flock_of(birds, ratios, cruise_speed=25.0), lag)
     members = np.flatnonzero(state.exists)[:20]
     assert len(members) == 20
-    with mpmath.workdps(30):
-        h_0 = 0.5 * ((mp.mpf(25) / 18) ** 2 + (mp.mpf(18) / 25) ** 2)
-        for member in members:
-            force = forces(
-                [mp.mpf(x) for x in positions_of(state.spacing[:, member])],
-                mp.mpf(state.speed[member]),
-                [mp.mpf(ratio) for ratio in ratios[:, member]],
-                lag,
-                h_0=h_0,
-                of=mp,
-            )
-            assert max(abs(value) for value in force) < 10 * 10 * birds * 2.0**-52
+    h_0 = 0.5 * ((mp.mpf(25) / 18) ** 2 + (mp.mpf(18) / 25) ** 2)
+    for member in members:
+        state_of_member = state.spacing[:, member], state.speed[member], ratios[:, member]
+        assert largest_force(*state_of_member, lag=lag, h_0=h_0) < 10 * 10 * birds * 2.0**-52
 
 
 @pytest.mark.parametrize("lag", [2.0, 10.0])
@@ -109,42 +76,41 @@ def test_rounding_does_not_grow_along_a_chain_that_somebody_else_leads(lag):
     members = np.flatnonzero(state.exists)
     assert len(members) > 20
     assert np.sum(state.spacing[0, members] < 0.0) > 5
-    with mpmath.workdps(30):
-        for member in members[:15]:
-            force = forces(
-                [mp.mpf(x) for x in positions_of(state.spacing[:, member])],
-                mp.mpf(state.speed[member]),
-                [mp.mpf(ratio) for ratio in ratios[:, member]],
-                lag,
-                of=mp,
-            )
-            # What is left over, and gaps rounded to 1e-16 of the 100 b of the whole flock.
-            assert max(abs(value) for value in force) < BALANCED + 1e-13
+    for member in members[:15]:
+        state_of_member = state.spacing[:, member], state.speed[member], ratios[:, member]
+        # What is left over, and gaps rounded to 1e-16 of the 100 b of the whole flock.
+        assert largest_force(*state_of_member, lag=lag) < BALANCED + 1e-13
+
+
+def ends_of_a_root_finder(column, lag, random, tries):
+    """Yield where a root finder ends from gaps and speeds at random, if forces balance there."""
+
+    def balance(unknown):
+        speeds = [unknown[0]] * len(column)
+        return forces(positions_of(unknown[1:]).tolist(), speeds, column, lag=lag, of=np)
+
+    for _ in range(tries):
+        start = [random.uniform(1.05, 1.3), *random.uniform(-1.5, 1.5, len(column) - 1)]
+        with np.errstate(all="ignore"):
+            end = root(balance, start, tol=1e-13)
+        if np.max(np.abs(balance(end.x))) < 1e-12:
+            yield end.x
 
 
 @pytest.mark.parametrize("birds", [2, 3, 4, 5])
 def test_a_root_finder_finds_this_state_and_no_other(birds):
-    # From anywhere: gaps and speeds at random. Forces of order 1, rounded to 1e-16, answer to gaps
-    # by 1e-4 or more of their change.
+    # Forces of order 1, rounded to 1e-16, answer to gaps by 1e-4 or more of their change.
     random = np.random.default_rng(birds)
     ratios = random_ratios(seed=birds, birds=birds, members=100, spread=0.01)
     lag = 0.7
     state = delayed_nearest(flock_of(birds, ratios), lag)
     found = 0
     for member in np.flatnonzero(state.margin > 0.01)[:6]:
-        column = ratios[:, member].tolist()
-
-        def balance(unknown, column=column):
-            return forces(positions_of(unknown[1:]).tolist(), unknown[0], column, lag)
-
-        for _ in range(8):
-            start = [random.uniform(1.05, 1.3), *random.uniform(-1.5, 1.5, birds - 1)]
-            with np.errstate(all="ignore"):
-                end = root(balance, start, tol=1e-13)
-            if np.max(np.abs(balance(end.x))) < 1e-12 and end.x[0] > 1.02:
+        for end in ends_of_a_root_finder(ratios[:, member].tolist(), lag, random, 8):
+            if end[0] > 1.02:
                 found += 1
                 expected = [state.speed[member], *state.spacing[:, member]]
-                np.testing.assert_allclose(end.x, expected, rtol=0, atol=1e-8)
+                np.testing.assert_allclose(end, expected, rtol=0, atol=1e-8)
     assert found > 10
 
 
@@ -157,16 +123,8 @@ def test_where_there_is_none_a_root_finder_finds_none():
     assert len(without) == 8
     for member in without:
         column = ratios[:, member].tolist()
-
-        def balance(unknown, column=column):
-            return forces(positions_of(unknown[1:]).tolist(), unknown[0], column, lag)
-
-        for _ in range(4):
-            start = [random.uniform(1.05, 1.3), *random.uniform(-1.5, 1.5, birds - 1)]
-            with np.errstate(all="ignore"):
-                end = root(balance, start, tol=1e-13)
-            above = end.x[0] ** 2 >= H_0 * max(column) ** 2
-            assert not (above and np.max(np.abs(balance(end.x))) < 1e-12)
+        for end in ends_of_a_root_finder(column, lag, random, 4):
+            assert end[0] ** 2 < H_0 * max(column) ** 2
 
 
 def test_shares_are_what_birds_get_of_what_their_pair_would_save_without_a_lag():
@@ -192,7 +150,7 @@ def test_shares_are_what_birds_get_of_what_their_pair_would_save_without_a_lag()
 @pytest.mark.parametrize("birds", [2, 3, 4, 7, 13, 31])
 def test_equals_fly_in_formation_at_any_lag_the_slower_the_later(birds):
     lags = np.geomspace(1e-3, 1e4, 100)
-    state = delayed_nearest(flock_of(birds, members=100), lags)
+    state = delayed_nearest(flock_of(birds, np.ones((birds, 100))), lags)
     assert state.exists.all()
     assert np.all(np.diff(state.speed) < 0.0)
     # What each needs is r of a pair's saving, and nobody gets more of any pair. U^2 is rounded to
@@ -207,7 +165,7 @@ def test_equals_fly_in_formation_at_any_lag_the_slower_the_later(birds):
 
 def test_two_fly_side_by_side_at_any_lag():
     lags = np.array([0.0, 0.1, 1.0, 10.0, 1e3])
-    state = delayed_nearest(flock_of(2, members=5), lags)
+    state = delayed_nearest(flock_of(2, np.ones((2, 5))), lags)
     # Shares are rounded as U^2 is, to 1e-15: far out, where they are s = a^2 / (|E| X^2), a
     # distance X = U* tau by X / (2 s) times as much.
     late = lags * state.speed

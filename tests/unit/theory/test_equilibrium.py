@@ -6,7 +6,7 @@ from math import inf, sqrt
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
@@ -23,10 +23,38 @@ from support.steady_flocks import (
     random_ratios,
     surplus,
 )
+from support.steady_states import steady
+
+# --- the balance of forces ---
 
 
-def steady(birds, ratios=None, **parameters) -> Equilibrium:
-    return equilibrium(Flock.of(FlockConfiguration(birds=birds, **parameters), ratios))
+@pytest.mark.parametrize(
+    ("coupling", "birds", "drawn", "least", "most"),
+    [
+        *(("nearest", birds, 4000, 10, 40) for birds in (2, 3, 4, 5, 8, 13, 21)),
+        *(("all", birds, 60, 20, 20) for birds in (2, 3, 4, 5, 8)),
+    ],
+)
+def test_state_is_the_one_that_a_root_finder_finds(coupling, birds, drawn, least, most):
+    # Forces of order 1 are rounded to 1e-16 and answer to a gap of up to 8 b, or one that carries a
+    # share of 0.99, by 1e-4 or more of its change, through a chain of N such: 1e-11 for the finder.
+    # All-to-all alike: stiffnesses of 1e-4 and more, some N of them.
+    ratios = random_ratios(seed=birds, birds=birds, members=drawn, spread=0.02)
+    state = steady(birds, ratios, coupling=coupling)
+    members = np.flatnonzero(state.margin > 0.01)[:most]
+    assert len(members) >= least
+    for member in members:
+        column = ratios[:, member].tolist()
+
+        def balance(unknown, column=column):
+            places = positions_of(unknown[1:]).tolist()
+            return forces(places, [unknown[0]] * birds, column, coupling)
+
+        shape_of_v = [0.5 if gap < birds // 2 else -0.5 for gap in range(birds - 1)]
+        found = root(balance, [1.1, *shape_of_v], tol=1e-14).x
+        again = root(balance, found, tol=1e-15).x  # with a Jacobian taken at the end
+        np.testing.assert_allclose(state.speed[member], again[0], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(state.spacing[:, member], again[1:], rtol=0, atol=1e-10)
 
 
 # --- where flights end ---
@@ -170,6 +198,59 @@ def test_of_equally_weak_gaps_the_first_is_named(birds, coupling):
 def test_margin_of_standard_birds_is_that_of_the_outermost():
     for birds in (2, 5, 12, 31):
         assert steady(birds).margin[0] == pytest.approx(1.0 / birds, abs=birds * 1e-15)
+
+
+# --- what a steady formation depends on ---
+
+OTHERS = [{"oswald_efficiency": 0.95}, {"zero_lift_drag": 0.01}, {"aspect_ratio": 5.0}]
+MORE = [{"oswald_efficiency": 0.5}, {"cruise_speed": 25.0}]
+
+
+@pytest.mark.parametrize(
+    ("coupling", "birds", "tolerance", "others"),
+    [
+        # A gap X answers to its share s by X / (2 s (1 - s)) of it, as f goes as 1 / X^2 far out.
+        *(("nearest", birds, 1e-12, [*OTHERS, *MORE]) for birds in (3, 4, 13)),
+        # R_j is the same for all, and so sum C / N: forces are a common multiple.
+        *(("all", birds, 1e-10, OTHERS) for birds in (3, 4, 9)),
+    ],
+)
+def test_spacing_of_standard_birds_depends_on_none_of_the_drag_parameters(
+    coupling, birds, tolerance, others
+):
+    one = steady(birds, coupling=coupling)
+    for other in others:
+        two = steady(birds, coupling=coupling, **other)
+        np.testing.assert_allclose(two.spacing, one.spacing, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "birds", "members", "spread", "most", "share", "gap"),
+    [
+        # Sums are taken from the other end: N roundings in a share.
+        *(
+            ("nearest", birds, 200, 0.01, 50, birds * 1e-14, birds * 1e-10)
+            for birds in (2, 5, 8, 13)
+        ),
+        *(("all", birds, 60, 0.02, 20, 1e-12, 1e-10) for birds in (3, 6)),
+    ],
+)
+def test_a_mirrored_flock_has_the_mirrored_state(
+    coupling, birds, members, spread, most, share, gap
+):
+    ratios = random_ratios(seed=birds, birds=birds, members=members, spread=spread)
+    one, other = (steady(birds, drawn, coupling=coupling) for drawn in (ratios, ratios[::-1]))
+    np.testing.assert_array_equal(one.exists, other.exists)
+    assert one.exists.sum() > most
+    np.testing.assert_allclose(other.share, 1.0 - one.share[::-1], rtol=0, atol=share)
+    np.testing.assert_allclose(other.speed, one.speed, rtol=1e-14)
+    firm = one.margin > 0.01
+    mirrored = -one.spacing[::-1]
+    np.testing.assert_allclose(other.spacing[:, firm], mirrored[:, firm], rtol=0, atol=gap)
+    saved = one.drag_reduction[::-1]
+    np.testing.assert_allclose(
+        other.drag_reduction, saved, atol=1e-13 if coupling == "nearest" else 1e-9
+    )
 
 
 # --- at the edges ---

@@ -26,10 +26,7 @@ from support.steady_flocks import (
     positions_of,
     random_ratios,
 )
-
-
-def flock_of(birds, ratios=None, **parameters) -> Flock:
-    return Flock.of(FlockConfiguration(birds=birds, **parameters), ratios)
+from support.steady_states import flock_of, rate_and_frequency
 
 
 def steady_jacobian(flock, state, member):
@@ -293,14 +290,6 @@ def test_small_disturbances_go_on_as_the_jacobian_says(coupling, birds):
         np.testing.assert_allclose(deviation, expected, rtol=0, atol=2e-6)
 
 
-def rate_and_frequency(signal, interval):
-    """mu of y = Re(c exp(mu t)), from samples: y'' = (z + z*) y' - z z* y, z = exp(mu interval)."""
-    table = np.column_stack([signal[1:-1], signal[:-2]])
-    twice, square = np.linalg.lstsq(table, signal[2:], rcond=None)[0]
-    z = 0.5 * (twice + np.emath.sqrt(twice**2 + 4.0 * square))
-    return np.log(z) / interval
-
-
 @pytest.mark.parametrize(
     ("push", "watch"),
     [
@@ -336,7 +325,7 @@ def test_a_common_change_of_speed_fades_as_an_eigenvalue_says():
 
 def test_formations_of_birds_near_the_standard_are_stable():
     ratio = 1.0 + 0.01 * np.random.default_rng(5).standard_normal((13, 1000))
-    flock = Flock.of(FlockConfiguration(), ratio)
+    flock = flock_of(13, ratio)
     state = equilibrium(flock)
     leading = eigenvalues(flock, state.spacing, state.speed)[state.exists, 0]
     assert len(leading) > 400
@@ -345,7 +334,7 @@ def test_formations_of_birds_near_the_standard_are_stable():
 
 def test_a_formation_of_birds_too_small_for_their_speed_need_not_be_stable():
     # Two birds slower than U_min: drag falls with speed, and what they save falls more slowly.
-    flock = Flock.of(FlockConfiguration(birds=2, span_ratios=("1=0.86", "2=0.86")))
+    flock = flock_of(2, [0.86, 0.86])
     state = equilibrium(flock)
     assert state.exists[0]
     assert eigenvalues(flock, state.spacing, state.speed)[0, 0].real > 0.0

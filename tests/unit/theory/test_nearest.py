@@ -9,43 +9,16 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from mpmath import mp
-from scipy.optimize import root
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.flock import Flock
 from flock_sim.theory import nearest
-from flock_sim.theory.equilibrium import equilibrium, nearest_shares
-from support.steady_flocks import A, across, even, forces, integral, positions_of, random_ratios
+from flock_sim.theory.equilibrium import nearest_shares
+from support.steady_flocks import A, across, even, integral, random_ratios
+from support.steady_states import flock_of, largest_force, steady
 
 STANDARD = (1.0 + A, A, A)  # y, a, a' of two standard neighbours
 
 
-def steady(birds, ratios=None, **parameters):
-    return equilibrium(Flock.of(FlockConfiguration(birds=birds, **parameters), ratios))
-
-
 # --- the balance of forces ---
-
-
-@pytest.mark.parametrize("birds", [2, 3, 4, 5, 8, 13, 21])
-def test_state_is_the_one_that_a_root_finder_finds(birds):
-    # Forces of order 1 are rounded to 1e-16 and answer to a gap of up to 8 b, or one that carries a
-    # share of 0.99, by 1e-4 or more of its change, through a chain of N such: 1e-11 for the finder.
-    ratios = random_ratios(seed=birds, birds=birds, members=4000, spread=0.02)
-    state = steady(birds, ratios)
-    members = np.flatnonzero(state.margin > 0.01)[:40]
-    assert len(members) >= 10
-    for member in members:
-        column = ratios[:, member].tolist()
-
-        def balance(unknown, column=column):
-            return forces(positions_of(unknown[1:]).tolist(), [unknown[0]] * birds, column)
-
-        shape_of_v = [0.5 if gap < birds // 2 else -0.5 for gap in range(birds - 1)]
-        found = root(balance, [1.1, *shape_of_v], tol=1e-14).x
-        again = root(balance, found, tol=1e-15).x  # with a Jacobian taken at the end
-        np.testing.assert_allclose(state.speed[member], again[0], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(state.spacing[:, member], again[1:], rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("birds", [2, 3, 5, 9])
@@ -59,16 +32,9 @@ def test_nobody_is_pulled_forward_or_back_however_different_the_birds(birds):
     members = np.flatnonzero(state.exists)[:40]
     assert len(members) == 40
     h_0 = 0.5 * ((mp.mpf(cruise) / 18) ** 2 + (18 / mp.mpf(cruise)) ** 2)
-    with mpmath.workdps(30):
-        for member in members:
-            force = forces(
-                [mp.mpf(x) for x in positions_of(state.spacing[:, member])],
-                [mp.mpf(state.speed[member])] * birds,
-                [mp.mpf(ratio) for ratio in ratios[:, member]],
-                h_0=h_0,
-                of=mp,
-            )
-            assert max(abs(value) for value in force) < 10 * 10 * birds * 2.0**-52
+    for member in members:
+        state_of_member = state.spacing[:, member], state.speed[member], ratios[:, member]
+        assert largest_force(*state_of_member, h_0=h_0) < 10 * 10 * birds * 2.0**-52
 
 
 @pytest.mark.parametrize("birds", [2, 3, 4, 7, 12, 13, 31])
@@ -100,23 +66,6 @@ a gap X by X / (2 s (1 - s)) times that at most, as f goes as 1 / X^2 far out.
 """
 
 
-@pytest.mark.parametrize("birds", [3, 4, 13])
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"oswald_efficiency": 0.95},
-        {"oswald_efficiency": 0.5},
-        {"zero_lift_drag": 0.01},
-        {"aspect_ratio": 5.0},
-        {"cruise_speed": 25.0},
-    ],
-    ids=str,
-)
-def test_spacing_of_standard_birds_depends_on_none_of_the_drag_parameters(birds, other):
-    one, two = steady(birds), steady(birds, **other)
-    np.testing.assert_allclose(two.spacing, one.spacing, rtol=0, atol=SAME)
-
-
 def test_speed_depends_on_what_is_saved():
     assert steady(13, oswald_efficiency=0.9).speed > steady(13).speed + 0.01
 
@@ -138,23 +87,6 @@ def test_a_flock_of_differing_birds_does_depend_on_the_oswald_efficiency():
     both = one.exists & two.exists
     assert both.sum() > 20
     assert np.all(np.abs(two.spacing - one.spacing)[:, both].max(axis=0) > 1e-3)
-
-
-@pytest.mark.parametrize("birds", [2, 5, 8, 13])
-def test_a_mirrored_flock_has_the_mirrored_state(birds):
-    ratios = random_ratios(seed=birds, birds=birds, members=200, spread=0.01)
-    one, other = steady(birds, ratios), steady(birds, ratios[::-1])
-    np.testing.assert_array_equal(one.exists, other.exists)
-    assert one.exists.sum() > 50
-    # Sums are taken from the other end: N roundings in a share.
-    np.testing.assert_allclose(other.share, 1.0 - one.share[::-1], rtol=0, atol=birds * 1e-14)
-    np.testing.assert_allclose(other.speed, one.speed, rtol=1e-14)
-    firm = one.margin > 0.01
-    mirrored = -one.spacing[::-1]
-    np.testing.assert_allclose(
-        other.spacing[:, firm], mirrored[:, firm], rtol=0, atol=birds * SAME / 0.01
-    )
-    np.testing.assert_allclose(other.drag_reduction, one.drag_reduction[::-1], atol=1e-13)
 
 
 # --- a gap from its share ---
@@ -218,7 +150,7 @@ def test_shares_tell_of_the_same_sum_from_either_end():
     # What birds 1..i get beyond what they need from one another is what i+1..N give: the last
     # share, 1 - (R_N / C_{N-1}), closes the sum. One rounding a bird.
     ratios = random_ratios(seed=2, birds=13, members=100, spread=0.05)
-    flock = Flock.of(FlockConfiguration(birds=13), ratios)
+    flock = flock_of(13, ratios)
     square, share = nearest_shares(flock)
     last, before = ratios[-1], ratios[-2]
     h_0 = flock.scales.cruise_ratio
