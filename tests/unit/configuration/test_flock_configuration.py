@@ -9,7 +9,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flock_sim.configuration.flock_configuration import KEYS, MEANING, FlockConfiguration
@@ -289,28 +289,6 @@ def test_a_single_bird_may_have_any_size():
 
 def test_too_small_a_bird_for_solo_flight_may_fly_in_a_flock():
     assert configured(span_ratios=["4=0.9"]).span_ratio[3, 0] == 0.9
-
-
-@given(
-    birds=st.integers(1, 30),
-    coupling=st.sampled_from(["nearest", "all"]),
-    ratio=st.floats(0.6, 3.0),
-    dt=st.floats(1e-3, 10.0),
-    steps=st.integers(1, 1000),
-)
-def test_parameters_read_back_as_the_same_configuration(birds, coupling, ratio, dt, steps):
-    assume(dt * steps < 1e6)
-    configuration = FlockConfiguration(
-        birds=birds,
-        coupling=coupling,
-        dt=dt,
-        t_max=dt * steps,
-        span_ratios=(f"{birds}={ratio!r},1",),
-        perturbations=(f"{birds}:2@{steps}={ratio!r}", "1@0=0,-0.1"),
-    )
-    again = FlockConfiguration.from_parameters(configuration.parameters())
-    assert again == configuration
-    np.testing.assert_array_equal(again.span_ratio, configuration.span_ratio)
 
 
 def test_time_and_stamp_count_from_the_first_step():

@@ -61,12 +61,12 @@ lengths = st.floats(1e-3, 1e3)
 
 
 @given(
-    birds=st.integers(4, 30),
+    birds=st.integers(1, 30),
     dt=st.floats(1e-3, 10.0),
     steps=st.integers(1, 10**6),
     record_every=st.integers(1, 1000),
     body_mass=lengths,
-    ratios=st.lists(st.floats(0.51, 2.0), min_size=1, max_size=4),
+    ratios=st.lists(st.floats(0.51, 3.0), min_size=1, max_size=4),
     coupling=st.sampled_from(["nearest", "all"]),
 )
 def test_what_is_written_is_read_back_to_the_bit(
@@ -85,11 +85,15 @@ def test_what_is_written_is_read_back_to_the_bit(
         t_max=steps * dt,
         record_every=record_every,
         body_mass=body_mass,
-        span_ratios=("4=" + ",".join(map(repr, ratios)),),
+        span_ratios=(f"{birds}=" + ",".join(map(repr, ratios)),),
+        perturbations=(f"{birds}:{len(ratios)}@{steps}={ratios[0]!r}", "1@0=0,-0.1"),
     )
     content = yaml.safe_load(parameter_file.text(flown.parameters()))
     assert list(content) == ["/**"]
-    assert FlockConfiguration.from_parameters(content["/**"]["ros__parameters"]) == flown
+    for parameters in (flown.parameters(), content["/**"]["ros__parameters"]):
+        again = FlockConfiguration.from_parameters(parameters)
+        assert again == flown
+        assert again.span_ratio.tobytes() == flown.span_ratio.tobytes()
 
 
 def test_no_empty_list_is_written_since_ros_has_no_type_for_it() -> None:
