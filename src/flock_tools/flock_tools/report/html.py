@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
 from flock_sim import __version__
 from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import FLOCK_OPTIONS
-from flock_sim.configuration.parameter_file import PARAMETERS, SECTION
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.bird_outline import OUTLINE
 from flock_tools.report.data import Reported
@@ -53,7 +52,7 @@ def page(runs: Sequence[Reported]) -> bytes:
         remarks=_remarks(runs),
         names=[run.name for run in runs],
         configuration=_configuration(runs),
-        files=[(run.name, _parameter_file(run)) for run in runs],
+        files=[(run.name, parameter_file.text(run.configuration.parameters())) for run in runs],
         provenance=[{"name": run.name, "facts": _provenance(run)} for run in runs],
         decimation=" ".join(_decimation(run, len(runs) > 1) for run in runs),
         versions=f"Flock {__version__} with Python {platform.python_version()} "
@@ -166,12 +165,6 @@ def _units(runs: Sequence[Reported]) -> dict[str, str]:
         for run in runs
     ]
     return each[0] if all(units == each[0] for units in each) else {}
-
-
-def _parameter_file(run: Reported) -> str:
-    """Return the configuration file that repeats this flight, for `--config`."""
-    parameters = {SECTION: {PARAMETERS: run.configuration.parameters()}}
-    return yaml.safe_dump(parameters, sort_keys=False, allow_unicode=True)
 
 
 def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]]:
