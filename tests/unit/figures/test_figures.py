@@ -29,6 +29,7 @@ from flock_tools.figures.modified_bird import CASES, draw_modified, modified_flo
 from flock_tools.figures.steady_states import SHOWN, draw_steady, steady_flocks
 from flock_tools.figures.style import COLUMN, PAGE, SMALL
 from flock_tools.figures.table import Table
+from support.tool_runs import error_of
 
 FILES = [
     f"figure_{end}"
@@ -228,12 +229,9 @@ def test_an_output_that_cannot_be_written_is_one_line_and_status_2(
         ("file/below", "Not a directory"),
         ("taken", "figure_2.png: can't be written: Is a directory"),
     ):
-        assert run_tool(tool, ["--output", str(tmp_path / output)]) == 2
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert told.err.startswith(f"error: --output {tmp_path / output}")
-        assert told.err.count("\n") == 1
-        assert named in told.err
+        error = error_of(tool, capsys, "--output", str(tmp_path / output))
+        assert error.startswith(f"error: --output {tmp_path / output}")
+        assert named in error
 
 
 # Legibility

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +15,7 @@ import pytest
 from flock_sim.physics import kernel_cache
 from flock_sim.physics.compile import anew, kernel
 from flock_sim.physics.kernel_cache import KernelCache
+from support.python_process import python
 
 PACKAGE = kernel_cache.PACKAGE
 
@@ -72,15 +71,7 @@ def package(tmp_path: Path) -> Path:
 def call(package: Path, home: str) -> float:
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))}
     environment |= {"PYTHONPATH": str(package.parent), "HOME": home}
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", CALL],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return float(done.stdout)
+    return float(python(CALL, environment=environment))
 
 
 def test_an_edit_of_a_function_that_a_kernel_calls_gives_other_code(

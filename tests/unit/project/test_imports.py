@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from support.forked import TOOLS
+from support.python_process import python
 
 HEAVY = ("rclpy", "numba", "numpy", "scipy", "matplotlib", "xarray", "pandas", "distributed")
 
@@ -39,18 +38,6 @@ for module, *arguments in json.loads(sys.argv[1]):
     found[module] = loaded()
 print(json.dumps(found))
 """
-
-
-def python(script: str, *arguments: str) -> str:
-    """Run `script` in a Python of its own; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", script, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def imports(*calls: tuple[str, ...]) -> dict[str, list[str]]:

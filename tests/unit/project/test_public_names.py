@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from support.python_process import python
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("flock_sim", "flock_tools")
@@ -52,10 +52,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 def test_importing_the_packages_imports_nothing_heavy() -> None:
     script = "import sys, flock_sim, flock_tools; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert not {"numpy", "numba", "scipy", "rclpy", "xarray"} & set(done.stdout.split())
+    assert not {"numpy", "numba", "scipy", "rclpy", "xarray"} & set(python(script).split())
 
 
 @pytest.mark.parametrize("path", [*DOCUMENTS, *EXAMPLES], ids=lambda path: path.name)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packages below ROS work without ROS, bags and plots."""
 
-import subprocess
-import sys
-
 import pytest
+
+from support.python_process import python
 
 IMPORT = """
 import importlib, pkgutil, sys
@@ -47,8 +46,4 @@ ROS = (
     ],
 )
 def test_nothing_below_the_floor_of_ros_imports_it(folders: str, absent: str, one: str) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-c", IMPORT, folders, absent], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert one in ended.stdout.split()
+    assert one in python(IMPORT, folders, absent).split()

@@ -38,7 +38,9 @@ def modified_flocks() -> dict[int, Equilibrium]:
     """Return the steady states for each modified bird. Their members are the values of lambda."""
     flock = FlockConfiguration(birds=BIRDS)
     return {
-        bird: equilibrium(Flock.of(flock, modified_span_ratios(flock, [bird] * len(ratios), ratios)))
+        bird: equilibrium(
+            Flock.of(flock, modified_span_ratios(flock, [bird] * len(ratios), ratios))
+        )
         for bird, ratios in CASES.items()
     }
 
