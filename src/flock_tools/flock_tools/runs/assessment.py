@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.theory.equilibrium import Equilibrium, equilibrium
-from flock_sim.physics.flock import Flock
 from flock_sim.analysis.metrics import plain
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.flock import Flock
 from flock_sim.theory.breakup import opening_gap, parts
+from flock_sim.theory.equilibrium import Equilibrium, equilibrium
 from flock_sim.theory.linear_stability import ComplexArray, eigenvalues
 
 MOST_WORK = 1e10

@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.messages import topics
-from flock_sim.physics.arrays import FloatArray
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import ARRAYS, BILLION, State
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError
+from flock_sim.messages import topics
+from flock_sim.messages.types import ARRAYS, BILLION, State
+from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
 from flock_tools.runs.pairing import pairs
@@ -50,7 +50,7 @@ class Comparison:
 
     @property
     def first_difference(self) -> Difference | None:
-        """The likeliest cause of the rest: a configuration difference, else a wing, else a state."""
+        """The likeliest cause of the rest: a difference of configuration, wing or state."""
         return next(chain(self.configuration, self.wings), self.state)
 
     @property

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from flock_sim.physics import formation
-from flock_sim.messages import topics
-from flock_sim.physics.arrays import FloatArray
 from flock_sim.configuration.flock_configuration import LISTS
-from flock_sim.messages.types import ARRAYS
 from flock_sim.errors import FlockError
+from flock_sim.messages import topics
+from flock_sim.messages.types import ARRAYS
+from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.runs.state_block import members_of, steps_of, values_of
 
@@ -107,7 +107,7 @@ def read(
 
 
 def _values(run: Run, rows: range) -> FloatArray:
-    """Return the recorded values of `rows`, shape (4, rows, birds, members); nan if not recorded."""
+    """Return the values of `rows`, shape (4, rows, birds, members); nan if not recorded."""
     configuration = run.configuration
     birds = range(1, configuration.birds + 1)
     column = {topics.state_topic(bird): bird - 1 for bird in birds}

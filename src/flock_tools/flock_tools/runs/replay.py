@@ -17,18 +17,18 @@ from rclpy.context import Context
 
 from flock_sim.bag.reading.reader import BagReader, Recorded
 from flock_sim.console.arguments import note
+from flock_sim.console.progress import playback_bar
+from flock_sim.console.signals import Stop
+from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.process import executing, ros_context
-from flock_sim.console.progress import playback_bar
 from flock_sim.ros.settings_check import check_settings
-from flock_sim.console.stdout import results_only_on_stdout
-from flock_sim.console.signals import Stop
 from flock_tools.playback.keyboard import DOWN, QUIT, RIGHT, SPACE, UP, keyboard
-from flock_tools.playback.schedule import BILLION, Schedule
-from flock_tools.playback.topics import Selection, expanded, select
 from flock_tools.playback.loop import Playback
 from flock_tools.playback.player import Player
+from flock_tools.playback.schedule import BILLION, Schedule
+from flock_tools.playback.topics import Selection, expanded, select
 
 KEYS = "space: pause or go on   right: next message   up, down: rate   q: end"
 

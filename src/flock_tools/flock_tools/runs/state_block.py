@@ -10,7 +10,6 @@ from struct import Struct
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.physics.arrays import FloatArray
 from flock_sim.messages.types import (
     ARRAYS,
     ENCAPSULATION,
@@ -19,6 +18,7 @@ from flock_sim.messages.types import (
     STATE_STEP_AT,
     State,
 )
+from flock_sim.physics.arrays import FloatArray
 
 HEAD = STATE_STEP_AT + 16
 """Bytes before the arrays: encapsulation, header, step and time."""
