@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.bag.chunk import MESSAGE_FIELDS, MESSAGE_OPCODE, chunk_head
-from flock_sim.bag.records import FRAME
+from flock_sim.bag.chunk import MESSAGE_INDEX, chunk_head
+from flock_sim.bag.records import FRAME, MESSAGE, MESSAGE_OPCODE
 
-_INDEX = struct.Struct("<BQHI")  # opcode, length of the rest, channel, bytes of its entries
 _CHANNEL_AT, _TIME_AT = FRAME.size, FRAME.size + 6  # in a message's record
 _ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
@@ -30,7 +29,7 @@ def fits(body: bytes, head: bytes, indexes: bytes, packed_size: int) -> bool:
     in_order = list(channels) == sorted(set(channels)) and all(
         (np.diff(part["offset"].astype(np.int64)) > 0).all() for part in parts
     )
-    last_end = int(entries["offset"].max()) + FRAME.size + MESSAGE_FIELDS
+    last_end = int(entries["offset"].max()) + MESSAGE.size
     if not in_order or last_end > len(body):
         return False
     order = np.argsort(entries["offset"])
@@ -53,11 +52,11 @@ def _entries(indexes: bytes) -> Iterator[tuple[int, npt.NDArray[np.void]]]:
     at = 0
     while at < len(indexes):
         try:
-            _, length, channel, size = _INDEX.unpack_from(indexes, at)
+            _, length, channel, size = MESSAGE_INDEX.unpack_from(indexes, at)
         except struct.error as error:
             raise ValueError("a message index is cut short") from error
-        begin, at = at + _INDEX.size, at + FRAME.size + length
-        if length != _INDEX.size - FRAME.size + size or not size:
+        begin, at = at + MESSAGE_INDEX.size, at + FRAME.size + length
+        if length != MESSAGE_INDEX.size - FRAME.size + size or not size:
             raise ValueError("a message index has a wrong length")
         yield channel, np.frombuffer(indexes[begin:at], _ENTRY)
 

@@ -2,7 +2,8 @@
 """The parts of an MCAP file around its chunks: the head before them, the summary after them."""
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mcap.data_stream import RecordBuilder
@@ -23,8 +24,10 @@ from mcap.records import (
 from flock_sim.bag.chunk import ChunkSummary
 from flock_sim.bag.definitions import Definition
 from flock_sim.bag.topic import Topic
+from flock_sim.errors import FlockError
 
 MAGIC = b"\x89MCAP0\r\n"
+_MAX_TOPICS = 65535  # MCAP numbers channels with 16 bits, from 1
 # Without a version: the same flight gives the same file, whatever versions are installed.
 _LIBRARY = "flock"
 
@@ -78,13 +81,26 @@ class Layout:
     def __init__(
         self,
         topics: Sequence[Topic],
-        definitions: Mapping[str, Definition],
+        define: Callable[[str], Definition],
         metadata: Mapping[str, Mapping[str, str]],
     ) -> None:
-        schema_ids = {name: number for number, name in enumerate(definitions, start=1)}
+        """Arrange a bag with these topics and metadata; `define` gives the definition of a type.
+
+        Raises FlockError for topics named twice, or too many; and as `define` does.
+        """
+        for name, times in Counter(topic.name for topic in topics).items():
+            if times > 1:
+                raise FlockError(f"topic {name} is given {times} times: name each topic once")
+        if len(topics) > _MAX_TOPICS:
+            raise FlockError(f"{len(topics)} topics: a bag holds at most {_MAX_TOPICS}")
+        self.topics = tuple(topics)
+        self.definitions = {
+            name: define(name) for name in dict.fromkeys(topic.type for topic in topics)
+        }
+        schema_ids = {name: number for number, name in enumerate(self.definitions, start=1)}
         self._schemas = [
             Schema(id=schema_ids[name], data=known.text.encode(), encoding="ros2msg", name=name)
-            for name, known in definitions.items()
+            for name, known in self.definitions.items()
         ]
         self._channels = [
             Channel(
@@ -93,7 +109,7 @@ class Layout:
                 message_encoding="cdr",
                 metadata={
                     "offered_qos_profiles": topic.qos_text(),
-                    "topic_type_hash": definitions[topic.type].type_hash,
+                    "topic_type_hash": self.definitions[topic.type].type_hash,
                 },
                 schema_id=schema_ids[topic.type],
             )

@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The text of a bag's metadata.yaml, version 9, as rosbag2 of ROS 2 Jazzy writes it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import yaml
 
-from flock_sim.bag.definitions import Definition
-from flock_sim.bag.file_sections import Written
-from flock_sim.bag.topic import Topic
+from flock_sim.bag.file_sections import Layout, Written
 
 _NO_MESSAGE = 2**63 - 1  # rosbag2's starting time of a bag without messages
 
 
 def metadata_yaml(
-    file_name: str,
-    topics: Sequence[Topic],
-    definitions: Mapping[str, Definition],
-    written: Written,
-    custom_data: Mapping[str, str],
+    file_name: str, layout: Layout, written: Written, custom_data: Mapping[str, str]
 ) -> str:
     """Make the text for a bag with one file, `file_name`. Only complete bags have this text."""
     count = written.messages
@@ -36,11 +30,11 @@ def metadata_yaml(
                     "type": topic.type,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": topic.qos_profiles(),
-                    "type_description_hash": definitions[topic.type].type_hash,
+                    "type_description_hash": layout.definitions[topic.type].type_hash,
                 },
                 "message_count": written.counts.get(channel, 0),
             }
-            for channel, topic in enumerate(topics, start=1)
+            for channel, topic in enumerate(layout.topics, start=1)
         ],
         "compression_format": "",
         "compression_mode": "",

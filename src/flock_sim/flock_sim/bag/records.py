@@ -14,9 +14,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 
-from flock_sim.bag.chunk import MESSAGE, MESSAGE_FIELDS, MESSAGE_OPCODE
-
 FRAME = struct.Struct("<BQ")  # opcode, length of the record that follows
+
+MESSAGE_OPCODE = int(Opcode.MESSAGE)
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time (ns); then data
+MESSAGE = struct.Struct(FRAME.format + MESSAGE_HEAD.format[1:])  # its frame and its head
+
 CHUNK_TIMES = struct.Struct("<QQ")  # the beginning of a chunk: start and end time, ns
 _CHUNK_HEAD = struct.Struct("<QQQII")  # ... uncompressed size, CRC, length of compression's name
 _LENGTH = struct.Struct("<Q")
@@ -28,8 +31,6 @@ COMPRESSION_AT = FRAME.size + _CHUNK_HEAD.size - 4
 """Offset of the compression field in a chunk, in bytes from its frame on."""
 
 CRC_BLOCK = 1 << 20  # bytes that `crc_of` reads at once
-
-_MESSAGE_FRAME = FRAME.size + MESSAGE_FIELDS
 
 Record = TypeVar("Record")
 
@@ -144,7 +145,7 @@ def messages_in(
                 position += FRAME.size + FRAME.unpack_from(body, position)[1]
                 continue
             _, length, channel, _, log_time, _ = unpack(body, position)
-            data_at = position + _MESSAGE_FRAME
+            data_at = position + MESSAGE.size
             position += FRAME.size + length
             if position > size or data_at > position:
                 raise DamagedError("a message in it is cut short")

@@ -2,7 +2,6 @@
 """One MCAP file, opened for reading."""
 
 import os
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -11,12 +10,12 @@ from typing import IO, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
-from flock_sim.bag.chunk import MESSAGE_FIELDS
 from flock_sim.bag.file_sections import MAGIC
-from flock_sim.bag.index import CRC_SIZE, Contents, has_end, summarised
+from flock_sim.bag.index import CRC_SIZE, Contents, has_end, scanned, summarised
 from flock_sim.bag.reading.compression import ZSTD_MAGIC, unpacked_file
 from flock_sim.bag.records import (
     FRAME,
+    MESSAGE_HEAD,
     ChunkPlace,
     DamagedError,
     crc_of,
@@ -26,10 +25,8 @@ from flock_sim.bag.records import (
     read_frame,
 )
 from flock_sim.bag.salvage import sound_chunks
-from flock_sim.bag.scan import scanned
 from flock_sim.errors import FlockError
 
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time (ns), publish time (ns)
 _FOREVER = 1 << 64  # ns, above every log time
 
 Recorded = tuple[str, int, bytes]
@@ -215,9 +212,9 @@ class McapFile:
 
     def _message_place(self, offset: int, length: int) -> ChunkPlace:
         start, end, channels = 0, _FOREVER, frozenset[int]()
-        if length >= MESSAGE_FIELDS:
-            head = os.pread(self._file.fileno(), MESSAGE_FIELDS, offset + FRAME.size)
-            channel, _, start, _ = _MESSAGE_HEAD.unpack(head)
+        if length >= MESSAGE_HEAD.size:
+            head = os.pread(self._file.fileno(), MESSAGE_HEAD.size, offset + FRAME.size)
+            channel, _, start, _ = MESSAGE_HEAD.unpack(head)
             end, channels = start, frozenset([channel])
         return ChunkPlace(offset, FRAME.size + length, start, end, channels)
 

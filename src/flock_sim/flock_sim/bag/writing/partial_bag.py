@@ -9,13 +9,21 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from flock_sim.bag.chunk import CHUNK_HEAD, MESSAGE_FIELDS, summarise
+from flock_sim.bag.chunk import CHUNK_HEAD, summarise
 from flock_sim.bag.chunk_check import fits
 from flock_sim.bag.directory import NEW_FILE, is_recording
 from flock_sim.bag.file_sections import Written
 from flock_sim.bag.index import has_end
 from flock_sim.bag.reading.compression import FORMAT
-from flock_sim.bag.records import FRAME, ChunkPlace, DamagedError, crc_of, read_chunk, records_in
+from flock_sim.bag.records import (
+    FRAME,
+    MESSAGE_HEAD,
+    ChunkPlace,
+    DamagedError,
+    crc_of,
+    read_chunk,
+    records_in,
+)
 from flock_sim.bag.salvage import goes_on
 from flock_sim.errors import FlockError
 
@@ -94,7 +102,7 @@ class PartialBag:
                 Message(
                     int.from_bytes(content[:2], "little") - 1,
                     int.from_bytes(content[_TIME_AT : _TIME_AT + 8], "little"),
-                    content[MESSAGE_FIELDS:],
+                    content[MESSAGE_HEAD.size :],
                 )
                 for _, content in records_in(self._body(extent))
             ]

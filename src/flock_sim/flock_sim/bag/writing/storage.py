@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file that only grows, by blocks that are completely in it or not at all."""
+"""The storage of a bag: a file that grows by whole blocks, and reserved space to finish it."""
 
 import errno
 import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 from flock_sim.bag.lock import lock
 from flock_sim.bag.records import crc_of
+
+_STEP = 64 * 1024  # bytes of reserved space; grows rarely, so that a chunk rarely pays for it
 
 
 class LostError(OSError):
@@ -98,3 +101,37 @@ class AppendFile:
     def close(self) -> None:
         """Close the file as it is."""
         os.close(self.fd)
+
+
+class Reserve:
+    """Reserved disk space, so that a bag can be finished after the disk has filled up.
+
+    It is a file of allocated, unused space: `hold` before the space is needed, `free` to use it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._held = 0  # bytes
+        self._file = (0, 0)  # device and inode
+
+    def hold(self, size: int) -> None:
+        """Keep at least `size` bytes allocated; raises OSError if the disk has no room."""
+        if size <= self._held:
+            return
+        wanted = -(-size // _STEP) * _STEP
+        fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            status = os.fstat(fd)
+            self._file = (status.st_dev, status.st_ino)
+            os.posix_fallocate(fd, 0, wanted)
+        finally:
+            os.close(fd)
+        self._held = wanted
+
+    def free(self) -> None:
+        """Free the space; does nothing if there is none, or if the file is another process's."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            status = os.stat(self.path)
+            if (status.st_dev, status.st_ino) == self._file:
+                self.path.unlink()
+        self._held = 0
