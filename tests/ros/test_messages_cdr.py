@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,8 @@ def as_ros(message: messages.Message) -> Any:
     """The message as rclpy has it."""
     kind, names = FIELDS[type(message)]
     made = kind()
-    for name, value in zip(names, message._values(), strict=True):
+    for name, field in zip(names, fields(message), strict=True):
+        value = getattr(message, field.name)
         *path, last = name.split(".")
         place = made
         for part in path:

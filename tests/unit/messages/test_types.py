@@ -84,6 +84,21 @@ def test_what_is_written_is_read_back(message):
 
 
 @given(message=messages)
+def test_the_place_of_a_field_is_where_its_first_bytes_are(message):
+    data = message.encode()
+    for field, kind in zip(fields(message), message.KINDS, strict=True):
+        value = getattr(message, field.name)
+        if kind == "text":
+            kind, value = "I", len(value.encode()) + 1
+        elif kind == "numbers":
+            kind, value = "I", len(value)
+        (found,) = struct.unpack_from("<" + kind, data, message.place(field.name))
+        assert same(found, value), field.name
+    with pytest.raises(KeyError):
+        message.place("none of its fields")
+
+
+@given(message=messages)
 def test_any_buffer_of_bytes_will_do(message):
     data = message.encode()
     for buffer in (bytearray(data), memoryview(data)):

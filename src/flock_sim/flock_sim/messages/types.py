@@ -8,21 +8,29 @@ With these classes, the state machines, the recorder and the offline tools need 
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, ClassVar, Self
+from dataclasses import asdict, dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
+from flock_sim.messages.cdr import ENCAPSULATION as ENCAPSULATION
+from flock_sim.messages.cdr import (
+    Float64,
+    Int32,
+    Int64,
+    Numbers,
+    Text,
+    UInt8,
+    UInt32,
+    UInt64,
+)
+from flock_sim.messages.cdr import Message as Message
 from flock_sim.physics.arrays import FloatArray
 
-ENCAPSULATION = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 FRAME = "flock"
-STATE_ENVELOPE = struct.Struct("<QI")  # run id and epoch, the last fields of a state
-MEMORY_STEP_AT = 12  # encapsulation 4, run id 8
-STATE_STEP_AT = 28  # encapsulation 4, stamp 8, length of FRAME 4, FRAME and its zero 6, padding 6
 
 BILLION = 1_000_000_000
 
@@ -30,87 +38,15 @@ ARRAYS = ("position", "speed", "circulation", "interaction_drag")
 """The fields of a state that have one value per member, in the order of the message."""
 
 
-class Message:
-    """A message; KINDS lists the CDR kinds of its fields, in order.
-
-    Kinds are those of `struct` (Q, q, I, i, B, d), "text" and "numbers" (a float64 sequence).
-    """
-
-    TYPE: ClassVar[str]
-    KINDS: ClassVar[tuple[str, ...]]
-
-    def encode(self) -> bytes:
-        """Return the message as CDR, encapsulation header included."""
-        data = bytearray(ENCAPSULATION)
-        for kind, value in zip(self.KINDS, self._values(), strict=True):
-            if kind == "numbers":
-                put(data, "I", len(value))
-                if len(value):
-                    align(data, 8)
-                    data += np.ascontiguousarray(value, dtype="<f8").tobytes()
-            else:
-                put(data, kind, value)
-        return bytes(data)
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Return the message in `data`. Raises ValueError if it does not hold one."""
-        if data[:4] != ENCAPSULATION:
-            raise ValueError(f"{cls.TYPE}: not little-endian CDR")
-        values: list[object] = []
-        at = 4
-        try:
-            for kind in cls.KINDS:
-                first = "I" if kind in ("text", "numbers") else kind
-                size = struct.calcsize(first)
-                at += (4 - at) % size
-                (value,) = struct.unpack_from("<" + first, data, at)
-                at += size
-                if kind == "text":
-                    if at + value > len(data):
-                        raise ValueError("text cut short")
-                    values.append(str(data[at : at + value - 1], "utf-8"))
-                    at += value
-                elif kind == "numbers":
-                    at += (4 - at) % 8 if value else 0
-                    values.append(np.frombuffer(data, dtype="<f8", count=value, offset=at))
-                    at += 8 * value
-                else:
-                    values.append(value)
-        except (struct.error, ValueError) as error:
-            raise ValueError(f"{cls.TYPE}: {len(data)} bytes are too few ({error})") from None
-        return cls(*values)
-
-    def _values(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
-
-
-def align(data: bytearray, size: int) -> None:
-    """Pad `data`, CDR with its encapsulation header, so that a value of `size` bytes can follow."""
-    data += bytes((4 - len(data)) % size)
-
-
-def put(data: bytearray, kind: str, value: object) -> None:
-    """Append `value` as CDR; `kind` is a `struct` format character, or "text"."""
-    if kind == "text":
-        text = str(value).encode() + b"\0"
-        put(data, "I", len(text))
-        data += text
-        return
-    align(data, struct.calcsize(kind))
-    data += struct.pack("<" + kind, value)
-
-
 @dataclass(frozen=True, slots=True)
 class Wing(Message):
     """BirdWing: the geometry of a bird. `span_ratio` has shape (members,)."""
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdWing"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "I", "numbers")
 
-    run_id: int
-    bird: int
-    span_ratio: FloatArray
+    run_id: UInt64
+    bird: UInt32
+    span_ratio: Numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +54,15 @@ class Stage(Message):
     """BirdStage: one Runge-Kutta stage of a bird; arrays of shape (members,), in b and U_min."""
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdStage"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", "B", "numbers", "numbers", "numbers")
 
-    run_id: int
-    step: int
-    epoch: int
-    bird: int
-    stage: int
-    position: FloatArray
-    speed: FloatArray
-    circulation: FloatArray
+    run_id: UInt64
+    step: UInt64
+    epoch: UInt32
+    bird: UInt32
+    stage: UInt8
+    position: Numbers
+    speed: Numbers
+    circulation: Numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,32 +70,29 @@ class State(Message):
     """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless."""
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
-    KINDS: ClassVar[tuple[str, ...]] = ("i", "I", "text", "Q", "d", *4 * ("numbers",), "Q", "I")
 
-    seconds: int
-    nanoseconds: int
-    frame: str
-    step: int
-    time: float
-    position: FloatArray
-    speed: FloatArray
-    circulation: FloatArray
-    interaction_drag: FloatArray
-    run_id: int = 0
-    epoch: int = 0
+    seconds: Int32
+    nanoseconds: UInt32
+    frame: Text
+    step: UInt64
+    time: Float64
+    position: Numbers
+    speed: Numbers
+    circulation: Numbers
+    interaction_drag: Numbers
+    run_id: UInt64 = 0
+    epoch: UInt32 = 0
 
     @staticmethod
     def step_of(data: bytes) -> int:
         """Return the step of an encoded state, without decoding it."""
-        if len(data) < STATE_STEP_AT + 8:
-            raise ValueError(f"{State.TYPE}: {len(data)} bytes are too few")
-        return int.from_bytes(data[STATE_STEP_AT : STATE_STEP_AT + 8], "little")
+        return _step(State, data, STATE_STEP_AT)
 
     @staticmethod
     def lengths(members: int) -> struct.Struct:
         """Return the struct that reads the array lengths of an encoded state of `members`."""
-        array = f"I4x{8 * members}x"
-        return struct.Struct(f"<{STATE_STEP_AT + 16}x{array * len(ARRAYS)}{STATE_ENVELOPE.size}x")
+        array = f"I{STATE_NUMBERS_AT - 4}x{8 * members}x"
+        return struct.Struct(f"<{STATE_HEAD}x{array * len(ARRAYS)}{STATE_ENVELOPE.size}x")
 
     @staticmethod
     def envelope(data: bytes) -> tuple[int, int]:
@@ -209,15 +141,14 @@ class Grant(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Grant"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "Q", "d", "I", "text", "Q")
 
-    run_id: int
-    step: int
-    end: int
-    dt: float
-    epoch: int
-    terms: str = ""
-    perturbation: int = 0
+    run_id: UInt64
+    step: UInt64
+    end: UInt64
+    dt: Float64
+    epoch: UInt32
+    terms: Text = ""
+    perturbation: UInt64 = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,13 +160,12 @@ class Progress(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Progress"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "q", "I", "text", "Q")
 
-    run_id: int
-    step: int
-    epoch: int
-    who: str
-    life: int = 0
+    run_id: UInt64
+    step: Int64
+    epoch: UInt32
+    who: Text
+    life: UInt64 = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,20 +176,17 @@ class Memory(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdMemory"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", "numbers")
 
-    run_id: int
-    step: int
-    epoch: int
-    bird: int
-    data: FloatArray
+    run_id: UInt64
+    step: UInt64
+    epoch: UInt32
+    bird: UInt32
+    data: Numbers
 
     @staticmethod
     def step_of(data: bytes) -> int:
         """Return the step of an encoded memory, without decoding it."""
-        if len(data) < MEMORY_STEP_AT + 8:
-            raise ValueError(f"{Memory.TYPE}: {len(data)} bytes are too few")
-        return int.from_bytes(data[MEMORY_STEP_AT : MEMORY_STEP_AT + 8], "little")
+        return _step(Memory, data, MEMORY_STEP_AT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,17 +197,16 @@ class Ages(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdAges"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "I", *3 * ("numbers",), "Q", "d")
 
-    run_id: int
-    step: int
-    epoch: int
-    bird: int
-    age: FloatArray
-    age_max: FloatArray
-    behind: FloatArray
-    late: int
-    lateness: float
+    run_id: UInt64
+    step: UInt64
+    epoch: UInt32
+    bird: UInt32
+    age: Numbers
+    age_max: Numbers
+    behind: Numbers
+    late: UInt64
+    lateness: Float64
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,15 +219,14 @@ class Checkpoint(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Checkpoint"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "I", "numbers", "numbers", "text", "numbers")
 
-    run_id: int
-    step: int
-    epoch: int
-    position: FloatArray
-    speed: FloatArray
-    perturbations: str = ""
-    memory: FloatArray = field(default_factory=lambda: np.empty(0))
+    run_id: UInt64
+    step: UInt64
+    epoch: UInt32
+    position: Numbers
+    speed: Numbers
+    perturbations: Text = ""
+    memory: Numbers = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:
@@ -317,15 +242,14 @@ class Push(Message):
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Perturbation"
-    KINDS: ClassVar[tuple[str, ...]] = ("Q", "Q", "d", "d", "I", "I", "I")
 
-    run_id: int
-    step: int
-    position: float
-    speed: float
-    number: int
-    bird: int
-    member: int
+    run_id: UInt64
+    step: UInt64
+    position: Float64
+    speed: Float64
+    number: UInt32
+    bird: UInt32
+    member: UInt32
 
     @classmethod
     def of(cls, run_id: int, number: int, perturbation: Perturbation) -> Push:
@@ -354,10 +278,9 @@ class Time(Message):
     """rosgraph_msgs/Clock: simulated time."""
 
     TYPE: ClassVar[str] = "rosgraph_msgs/msg/Clock"
-    KINDS: ClassVar[tuple[str, ...]] = ("i", "I")
 
-    seconds: int
-    nanoseconds: int
+    seconds: Int32
+    nanoseconds: UInt32
 
     @classmethod
     def at(cls, stamp: int) -> Time:
@@ -368,3 +291,25 @@ class Time(Message):
     def stamp(self) -> int:
         """Simulated time, in ns."""
         return self.seconds * BILLION + self.nanoseconds
+
+
+# The layout of encoded states and memories, in bytes, for code that does not decode them.
+_ONE = np.zeros(1)
+_STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE)
+STATE_STEP_AT = _STATE.place("step")
+STATE_FRAME_AT = _STATE.place("frame")
+STATE_FRAME = _STATE.encode()[STATE_FRAME_AT:][: 4 + len(FRAME) + 1]
+"""FRAME in a state: its length, its text and a zero."""
+STATE_HEAD = _STATE.place(ARRAYS[0])
+"""Size of the fields before the arrays, with the encapsulation."""
+STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8
+"""Offset of the numbers of an array: its length and the padding come first."""
+STATE_ENVELOPE = struct.Struct("<" + "".join(State.KINDS[-2:]))
+"""Run id and epoch, the last fields of a state."""
+MEMORY_STEP_AT = Memory(0, 0, 0, 0, np.empty(0)).place("step")
+
+
+def _step(kind: type[Message], data: bytes, at: int) -> int:
+    if len(data) < at + 8:
+        raise ValueError(f"{kind.TYPE}: {len(data)} bytes are too few")
+    return int.from_bytes(data[at : at + 8], "little")

@@ -20,6 +20,7 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
 from flock_sim.console.signals import Stop
 from flock_sim.messages import topics
+from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.ros.endpoints import wait_until_heard
 from flock_tools.playback.loop import NotPublishable, Playback
 from flock_tools.playback.topics import Playable
@@ -28,9 +29,6 @@ try:
     from rosbag2_interfaces import srv
 except ImportError:
     from flock_interfaces import srv
-
-ENCAPSULATION = 4
-"""Length of the encapsulation header of a serialised message, in bytes."""
 
 MEET_TIMEOUT = 10.0
 """Longest wait for listeners, in s; lost messages are detected every 3 s."""
@@ -157,7 +155,7 @@ class Player(Node):
 
 def check_cdr(data: bytes) -> None:
     """Raise NotPublishable for bytes that do not begin as CDR, such as compressed bytes."""
-    if len(data) < ENCAPSULATION or data[0] != 0:
+    if len(data) < len(ENCAPSULATION) or data[0] != ENCAPSULATION[0]:
         raise NotPublishable("their bytes are no CDR")
 
 

@@ -5,56 +5,57 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from struct import Struct
 
 import numpy as np
 import numpy.typing as npt
 
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.types import (
     ARRAYS,
-    ENCAPSULATION,
-    FRAME,
     STATE_ENVELOPE,
+    STATE_FRAME,
+    STATE_FRAME_AT,
+    STATE_HEAD,
+    STATE_NUMBERS_AT,
     STATE_STEP_AT,
     State,
 )
-from flock_sim.physics.arrays import FloatArray
-
-HEAD = STATE_STEP_AT + 16
-"""Bytes before the arrays: encapsulation, header, step and time."""
-
-TAIL = STATE_ENVELOPE.size
-"""Bytes after the arrays: run id and epoch."""
-
-_FRAME = (len(FRAME) + 1).to_bytes(4, "little") + FRAME.encode() + b"\0"
-_FRAME_AT = 12
-_COUNT = 8  # bytes of an array's length, with the padding after it
 
 
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
-    members, lengths = _layout(len(data))
+    members, count, (first, second, third, fourth) = _layout(len(data))
+    starts = data.startswith
     if (
-        members
-        and data.startswith(ENCAPSULATION)
-        and data.startswith(_FRAME, _FRAME_AT)
-        and lengths.unpack(data) == (members,) * len(ARRAYS)
+        starts(ENCAPSULATION)
+        and starts(STATE_FRAME, STATE_FRAME_AT)
+        and starts(count, first)
+        and starts(count, second)
+        and starts(count, third)
+        and starts(count, fourth)
     ):
         return members
     return 0
 
 
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layout(size: int) -> tuple[int, Struct]:
-    """Return the members of a state of `size` bytes, and the struct of its array lengths."""
-    members, rest = divmod(size - State.lengths(0).size, 8 * len(ARRAYS))
-    members = 0 if rest or members < 1 else members
-    return members, State.lengths(members)
+def _layout(size: int) -> tuple[int, bytes, list[int]]:
+    """Return the members of a state of `size` bytes, and the bytes and places of array counts."""
+    stride, rest = divmod(size - STATE_HEAD - STATE_ENVELOPE.size, len(ARRAYS))
+    members, more = divmod(stride - STATE_NUMBERS_AT, 8)
+    if rest or more or members < 1:
+        return 0, b"", [0, 0, 0, 0]
+    return (
+        members,
+        members.to_bytes(4, "little"),
+        [STATE_HEAD + k * stride for k in range(len(ARRAYS))],
+    )
 
 
 def same_head(one: bytes, other: bytes) -> bool:
     """Return whether two states are equal up to their arrays, and thus of one step."""
-    return one[:HEAD] == other[:HEAD] and one.startswith(_FRAME, _FRAME_AT)
+    return one[:STATE_HEAD] == other[:STATE_HEAD] and one.startswith(STATE_FRAME, STATE_FRAME_AT)
 
 
 def step_of(data: bytes) -> int:
@@ -70,9 +71,13 @@ def steps_of(states: Sequence[bytes]) -> npt.NDArray[np.int64]:
 
 def values_of(states: Sequence[bytes], members: int) -> FloatArray:
     """Return the arrays of states whose `members_of` is `members`, shape (states, 4, members)."""
-    array = np.dtype([("count", f"V{_COUNT}"), ("values", "<f8", (members,))])
+    array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (members,))])
     state = np.dtype(
-        [("head", f"V{HEAD}"), ("arrays", array, (len(ARRAYS),)), ("tail", f"V{TAIL}")]
+        [
+            ("head", f"V{STATE_HEAD}"),
+            ("arrays", array, (len(ARRAYS),)),
+            ("tail", f"V{STATE_ENVELOPE.size}"),
+        ]
     )
     values: FloatArray = np.frombuffer(b"".join(states), dtype=state)["arrays"]["values"]
     return values
