@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Link models: a model computes what a bird knows from the last message of a neighbour."""
+"""Link models: a model computes what a bird knows from the last message of a neighbour.
+
+A new model is a function here, or in a file of its own, and a line in `links/registry.py`.
+"""
 
 from __future__ import annotations
 
@@ -27,3 +30,31 @@ class LinkModel:
     every_stage: bool = False
     """Whether the neighbour sends at all four stages of every step, so that `perceive` gets the
     values of the present stage; otherwise it sends at stage 0 of every `interval`-th step."""
+
+
+def received(
+    age: float, position: float, speed: float, circulation: float, rate: float
+) -> tuple[float, float]:
+    """Return the received values, whatever their age."""
+    return position, circulation
+
+
+def extrapolated(
+    age: float, position: float, speed: float, circulation: float, rate: float
+) -> tuple[float, float]:
+    """Return the position at constant speed, and the circulation at its last rate of change.
+
+    With a constant circulation, the error of circulation and drag would be of first order in the
+    age: for short intervals, `linear` would converge no faster than `hold`.
+    """
+    return position + speed * age, circulation + rate * age
+
+
+EXACT = LinkModel("exact", received, every_stage=True)
+"""The values at the present Runge-Kutta stage, from the latest step that has arrived."""
+
+HOLD = LinkModel("hold", received)
+"""The last received state, unchanged."""
+
+LINEAR = LinkModel("linear", extrapolated)
+"""The last received state, with position and circulation extrapolated."""

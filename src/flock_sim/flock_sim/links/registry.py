@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All link models. A new model is a file of its own and a line here, or it is registered."""
+"""All link models: those of the package, and those that a process registers."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ import re
 from dataclasses import replace
 
 from flock_sim.errors import FlockError
-from flock_sim.links.exact import EXACT
-from flock_sim.links.hold import HOLD
-from flock_sim.links.linear import LINEAR
-from flock_sim.links.models import LinkModel, Perceive
+from flock_sim.links.models import EXACT, HOLD, LINEAR, LinkModel, Perceive
 
 MODELS = [
     EXACT,
