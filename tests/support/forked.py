@@ -47,7 +47,6 @@ def preload() -> None:
     for module in TOOLS.values():
         importlib.import_module(module)
     precompile.warm_reference()
-    precompile.warm_reference("hold")
     for coupling in COUPLINGS:
         precompile.warm_equilibrium(coupling)
     precompile.warm_stability()

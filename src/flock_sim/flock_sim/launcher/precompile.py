@@ -105,7 +105,6 @@ if __name__ == "__main__":
     # The exchange loads ROS, which would end this process if that middleware is not installed.
     os.environ.pop("RMW_IMPLEMENTATION", None)
     warm_reference()
-    warm_reference("hold")
     warm_bird()
     warm_links()
     warm_exchange()

@@ -7,18 +7,17 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, in_order
+from flock_sim.links.channel import hear, hearing
+from flock_sim.links.link_table import SOURCE, TARGET, Plan
 from flock_sim.physics import formation
-from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.compile import kernel
+from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.reference.flock_kernel import forces, move
-from flock_sim.reference.link_kernels import FlockLinks
+from flock_sim.reference.flock_kernel import flying, forces
 
 RECORDED = 4
 """Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
@@ -52,8 +51,12 @@ class Reference:
         self.position = np.repeat(np.array(start)[:, np.newaxis], members, axis=1)
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
-        link_table = configuration.link_table
-        self._links = None if link_table.plain else FlockLinks(configuration, members)
+        plain = configuration.link_table.plain
+        self._add_over_links, self._advance = flying(hear if plain else hearing())
+        plan = configuration.link_table.plan(range(1, 1 if plain else birds + 1), members)
+        self._pairs = self.flock.pairs if plain else self.flock.pairs[:0]
+        self._links = plan.links, _pairs_of(plan, self.flock.pairs), plan.faults
+        self._memory = plan.memory()
         self._pushes = deque(in_order([*configuration.pushes, *live]))
         for perturbation in self._pushes:
             perturbation.check(birds, members, configuration.steps)
@@ -98,36 +101,21 @@ class Reference:
 
     def _integrate(self, until: int, recorded: FloatArray) -> None:
         """Take all steps to the beginning of step `until`, before its pushes."""
-        flock = self.flock
-        if self._links:
-            self._links.advance(
-                self.position,
-                self.speed,
-                self.configuration.dt,
-                self.step,
-                until,
-                self.configuration.record_every,
-                flock.coefficients,
-                flock.half_span,
-                flock.lateral,
-                flock.even,
-                *self._links.arrays,
-                recorded,
-            )
-            self.step = until
-            return
-        _advance(
+        flown, flock = self.configuration, self.flock
+        self._advance(
             self.position,
             self.speed,
-            self.configuration.dt,
+            flown.dt,
             self.step,
             until,
-            self.configuration.record_every,
+            flown.record_every,
             flock.coefficients,
             flock.half_span,
-            flock.pairs,
+            self._pairs,
             flock.lateral,
             flock.even,
+            *self._links,
+            self._memory,
             recorded,
         )
         self.step = until
@@ -142,93 +130,34 @@ class Reference:
     def observe(self) -> FloatArray:
         """Return the present state as `advance` records it, shape (4, birds, members)."""
         flock = self.flock
+        present = self.position, self.speed
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
-        if self._links:
-            links, pair_of, faults, memory = self._links.arrays
-            self._links.felt(
-                STAGES * self.step,
-                self.configuration.dt,
-                self.position,
-                self.speed,
-                flock.coefficients,
-                flock.half_span,
-                flock.lateral,
-                flock.even,
-                links,
-                pair_of,
-                faults,
-                memory.copy(),  # a copy: the next step receives the present messages
-                circulation,
-                drag,
-            )
-            return np.stack([self.position, self.speed, circulation, drag])
+        geometry = flock.lateral, flock.even
         forces(
-            self.position,
-            self.speed,
+            *present,
             flock.coefficients,
             flock.half_span,
-            flock.pairs,
-            flock.lateral,
-            flock.even,
+            self._pairs,
+            *geometry,
+            circulation,
+            drag,
+        )
+        self._add_over_links(
+            STAGES * self.step,
+            self.configuration.dt,
+            *present,
+            flock.half_span,
+            *geometry,
+            *self._links,
+            self._memory.copy(),  # a copy: the next step receives the present messages
             circulation,
             drag,
         )
         return np.stack([self.position, self.speed, circulation, drag])
 
 
-@kernel
-def _advance(
-    position: FloatArray,
-    speed: FloatArray,
-    dt: float,
-    first: int,
-    until: int,
-    every: int,
-    coefficients: FloatArray,
-    half_span: FloatArray,
-    pairs: npt.NDArray[np.int64],
-    lateral: FloatArray,
-    even: FloatArray,
-    recorded: FloatArray,
-) -> None:
-    """Take the steps from `first` to below `until` in place, recording multiples of `every`."""
-    birds, members = position.shape
-    position_now = position.copy()
-    speed_now = speed.copy()
-    circulation = np.empty_like(speed)
-    drag = np.empty_like(speed)
-    velocity_slopes = np.empty((STAGES, birds * members))
-    speed_slopes = np.empty((STAGES, birds * members))
-
-    records = 0
-    for step in range(first, until):
-        for stage in range(STAGES):
-            forces(
-                position_now,
-                speed_now,
-                coefficients,
-                half_span,
-                pairs,
-                lateral,
-                even,
-                circulation,
-                drag,
-            )
-            if stage == 0 and step % every == 0:
-                row = recorded[records]
-                records += 1
-                row[0], row[1], row[2], row[3] = position, speed, circulation, drag
-            move(
-                stage,
-                dt,
-                position,
-                speed,
-                coefficients,
-                drag,
-                velocity_slopes,
-                speed_slopes,
-                position_now,
-                speed_now,
-            )
-        position[:] = position_now
-        speed[:] = speed_now
+def _pairs_of(plan: Plan, pairs: IntArray) -> IntArray:
+    """Return the index in `pairs` of the two birds of each link, shape (links,)."""
+    index = {(i + 1, j + 1): k for k, (i, j) in enumerate(pairs.tolist())}
+    birds = plan.links[:, [SOURCE, TARGET]].tolist()
+    return np.array([index[min(pair), max(pair)] for pair in birds], dtype=np.int64)
