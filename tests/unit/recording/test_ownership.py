@@ -19,7 +19,6 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.recording import output_directory as output_module
-from flock_sim.recording.flight_bag import kinds
 from flock_sim.recording.flight_writer import Recording, lay_down, recording
 from flock_sim.recording.output_directory import own_bag, own_output
 from flock_sim.recording.run import Run
@@ -321,7 +320,7 @@ def test_a_recorder_that_has_lost_its_file_says_so_and_completes_nothing(
     tmp_path: Path, attack: Callable[[Path], None], noticed: str
 ) -> None:
     bag = tmp_path / "bag"
-    run = Recording(bag, CONFIGURATION, reference_kinds())
+    run = Recording(bag, CONFIGURATION, grants=False)
     for row in ROWS[:9]:
         run.write_row(row)
     run.flush()
@@ -341,7 +340,7 @@ def test_a_recorder_that_has_lost_its_file_says_so_and_completes_nothing(
 
 def test_a_write_that_no_clock_tells_is_found_at_the_end(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    run = Recording(bag, CONFIGURATION, reference_kinds())
+    run = Recording(bag, CONFIGURATION, grants=False)
     run.write_row(ROWS[0])
     run.flush()
     status = (bag / "bag_0.mcap").stat()
@@ -361,10 +360,6 @@ def test_a_bag_that_was_only_touched_is_recorded_to_its_end(tmp_path: Path) -> N
             (bag / "bag_0.mcap").touch()
     with Run(bag) as whole:
         assert whole.missing is None
-
-
-def reference_kinds() -> dict[str, type]:
-    return kinds(CONFIGURATION, grants=False, stages=False)
 
 
 def test_a_directory_that_was_replaced_tells_nothing_of_the_flight(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
@@ -57,6 +59,14 @@ def checked_push(data: bytes, configuration: FlockConfiguration) -> messages.Pus
         raise FlockError(f"a perturbation can't be read: {error}") from error
     push.check(configuration)
     return push
+
+
+def recorded_push(path: Path, data: bytes, configuration: FlockConfiguration) -> messages.Push:
+    """Return a push that is recorded in the bag at `path`; raises FlockError as `checked_push`."""
+    try:
+        return checked_push(data, configuration)
+    except FlockError as error:
+        raise FlockError(f"{path}: {error}; leave it out by ./flock repair") from error
 
 
 def has_stages(bag: BagReader) -> bool:

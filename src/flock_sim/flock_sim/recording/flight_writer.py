@@ -20,7 +20,7 @@ from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import in_order
-from flock_sim.recording.flight_bag import check_grants, checked_push, kinds
+from flock_sim.recording.flight_bag import check_grants, checked_push, kinds, recorded_push
 from flock_sim.recording.recorded_rows import RecordedRows
 from flock_sim.recording.row_assembler import Row
 
@@ -53,18 +53,21 @@ class Recording:
         self,
         directory: Path,
         configuration: FlockConfiguration,
-        topic_kinds: Mapping[str, type[messages.Message]],
         *,
+        grants: bool,
+        stages: bool = False,
+        live: bool = False,
         resume: bool = False,
         replace: bool = False,
         factor: float = 0.0,
     ) -> None:
-        """Begin a bag; `topic_kinds` gives the message type of each topic, in the order of the bag.
+        """Begin a bag with the topics of a flight, see `kinds`.
 
         `resume`: continue an existing bag, after the last row before any damaged or missing row.
         `replace`: an existing bag stays until the first row is on disk. `factor` is the real-time
         factor of a free flight. Raises the same errors as `BagWriter`.
         """
+        topic_kinds = kinds(configuration, grants, stages, live, factor > 0.0)
         self._configuration = configuration
         self._factor = factor
         self._stamp = 0
@@ -200,7 +203,7 @@ class Recording:
 
     def _find_checkpoint(self, begun: PartialBag) -> None:
         """Find the last row before any missing row, and drop all messages after it."""
-        rows = RecordedRows(begun, self._configuration, self._place)
+        rows = RecordedRows(begun, self._configuration, self._place, self._states, self._remembered)
         found = rows.last_before(len(begun.chunks), [])
         gap = rows.gap(found, self.bag.count(self._place[topics.CLOCK_TOPIC]))
         if gap is not None:
@@ -220,12 +223,7 @@ class Recording:
                     with suppress(ValueError):
                         self.last_grant = messages.Grant.decode(data)
                     continue
-                try:
-                    push = checked_push(data, self._configuration)
-                except FlockError as error:
-                    raise FlockError(
-                        f"{bag.path}: {error}; leave it out by ./flock repair"
-                    ) from error
+                push = recorded_push(bag.path, data, self._configuration)
                 self.live[push.number] = push
         for aside in files_aside(self.bag.path):
             self._keep_pushes(aside)
@@ -269,7 +267,9 @@ def recording(
     run = Recording(
         directory,
         configuration,
-        kinds(configuration, grants, stages, live, factor > 0.0),
+        grants=grants,
+        stages=stages,
+        live=live,
         resume=resume,
         replace=replace,
         factor=factor,
@@ -299,7 +299,8 @@ def lay_down(
     run = Recording(
         directory,
         configuration,
-        kinds(configuration, grants, stages, free=factor > 0.0),
+        grants=grants,
+        stages=stages,
         resume=resume,
         replace=replace,
         factor=factor,

@@ -26,17 +26,22 @@ class RecordedRows:
     """Finds rows. If birds have memories, a flight can't resume from a row without them."""
 
     def __init__(
-        self, begun: PartialBag, configuration: FlockConfiguration, place: Mapping[str, int]
+        self,
+        begun: PartialBag,
+        configuration: FlockConfiguration,
+        place: Mapping[str, int],
+        states: Sequence[int],
+        remembered: Sequence[int],
     ) -> None:
-        """Search the bag `begun`; `place` has the index of each topic, from 0."""
+        """Search the bag `begun`; `place` has the index of each topic, from 0.
+
+        `states` and `remembered` are the indices of the states and memories of the birds, in order.
+        """
         self._begun = begun
         self._configuration = configuration
         self._place = place
-        birds = range(1, configuration.birds + 1)
-        self._states = [place[topics.state_topic(bird)] for bird in birds]
-        self._remembered = [
-            place[name] for name in map(topics.memory_topic, birds) if name in place
-        ]
+        self._birds = len(states)
+        self._places = [*states, *remembered]
 
     def last_before(self, chunk: int, held: list[Message]) -> Found:
         """Find the last row in the first `chunk` chunks and the messages `held` after them."""
@@ -72,9 +77,7 @@ class RecordedRows:
 
         The end is after the grants and pushes that follow the row.
         """
-        places = [*self._states, *self._remembered]
-        birds = len(self._states)
-        order = {place: k for k, place in enumerate(places)}
+        order = {place: k for k, place in enumerate(self._places)}
         between = {
             self._place.get(name) for name in (topics.GRANT_TOPIC, topics.PERTURBATION_TOPIC)
         }
@@ -84,13 +87,13 @@ class RecordedRows:
         for at, (place, _, data) in enumerate(held):
             k = order.get(place)
             if k is not None:
-                said = (messages.State if k < birds else messages.Memory).step_of(data)
+                said = (messages.State if k < self._birds else messages.Memory).step_of(data)
                 if k == 0:
                     row, step = [], said
                 if k == len(row) and said == step:
                     row.append(data)
-                if len(row) == len(places):
+                if len(row) == len(self._places):
                     end, whole, row = at + 1, row, []
             elif place in between and at == end:
                 end = at + 1
-        return end, whole[:birds], whole[birds:]
+        return end, whole[: self._birds], whole[self._birds :]

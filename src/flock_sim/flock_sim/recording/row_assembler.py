@@ -11,13 +11,13 @@ Received states carry their run id and epoch; in the bag both are 0.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.stage_layout import stage_header
-from flock_sim.messages.types import Ages, Memory, State, Time
+from flock_sim.messages.types import Ages, Memory, Message, State, Time
 from flock_sim.physics.runge_kutta import STAGES
 
 
@@ -45,9 +45,8 @@ class _Gathering:
     def __init__(self) -> None:
         self.stages: dict[tuple[int, int], bytes] = {}
         self.time: bytes | None = None
-        self.states: dict[int, bytes] = {}
-        self.memories: dict[int, bytes] = {}
-        self.ages: dict[int, bytes] = {}
+        self.of: dict[type[Message], dict[int, bytes]] = {State: {}, Memory: {}, Ages: {}}
+        """For each type of which a row has one message per bird, those messages by bird."""
 
 
 class RowAssembler:
@@ -72,7 +71,7 @@ class RowAssembler:
         self._birds = range(1, configuration.birds + 1)
         self._every = configuration.record_every
         self._record_stages = record_stages
-        self._rows: dict[int, _Gathering] = {}
+        self._rows: defaultdict[int, _Gathering] = defaultdict(_Gathering)
         self._wings: dict[int, bytes] = {}
         remembers = configuration.link_table.remembers
         self._remember = [bird for bird in self._birds if not (free or played) and remembers(bird)]
@@ -118,14 +117,14 @@ class RowAssembler:
     @property
     def waiting_for(self) -> list[int]:
         """The birds from which the next row lacks a message."""
-        row = self._row(self._next)
+        row = self._rows[self._next]
         return [
             bird
             for bird in self._birds
-            if bird not in row.states
+            if bird not in row.of[State]
             or (self._next == 0 and bird not in self._wings)
-            or (bird in self._remember and bird not in row.memories)
-            or (self._tell_ages and bird not in row.ages)
+            or (bird in self._remember and bird not in row.of[Memory])
+            or (self._tell_ages and bird not in row.of[Ages])
         ]
 
     @property
@@ -136,7 +135,7 @@ class RowAssembler:
     def lacks_state(self, bird: int) -> bool:
         """Whether the next row lacks the state of `bird`."""
         row = self._rows.get(self._next)
-        return row is None or bird not in row.states
+        return row is None or bird not in row.of[State]
 
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
         """Take the BirdWing of `bird`; return the rows that are complete with it."""
@@ -147,37 +146,29 @@ class RowAssembler:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
         if len(data) != self._lengths.size or set(self._lengths.unpack(data)) != self._members:
             return self._ignore(MISSHAPEN)
-        run_id, epoch = State.envelope(data)
-        if (run_id, epoch) != self._run:
-            return self._ignore(FOREIGN if run_id != self._run[0] else STALE)
-        step = State.step_of(data)
-        if not self._due(step) or bird in self._row(step).states:
-            return self._ignore(REPEATED)
-        self._row(step).states[bird] = State.opened(data)
-        return self._complete()
+        run = State.envelope(data)
+        if run != self._run:
+            return self._ignore_run(run)
+        return self._take(State, State.step_of(data), bird, State.opened(data))
 
     def add_memory(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdMemory of `bird`; return the rows that are complete with it."""
         memory = Memory.decode(data)
-        if (memory.run_id, memory.epoch) != self._run:
-            return self._ignore(FOREIGN if memory.run_id != self._run[0] else STALE)
+        run = memory.run_id, memory.epoch
+        if run != self._run:
+            return self._ignore_run(run)
         size = self._configuration.link_table.remembers(bird) * self._configuration.members
         if len(memory.data) != size:
             return self._ignore(MISSHAPEN)
-        if not self._due(memory.step) or bird in self._row(memory.step).memories:
-            return self._ignore(REPEATED)
-        self._row(memory.step).memories[bird] = data
-        return self._complete()
+        return self._take(Memory, memory.step, bird, data)
 
     def add_ages(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdAges of `bird`; return the rows that are complete with it."""
         ages = Ages.decode(data)
-        if (ages.run_id, ages.epoch) != self._run:
-            return self._ignore(FOREIGN if ages.run_id != self._run[0] else STALE)
-        if not self._due(ages.step) or bird in self._row(ages.step).ages:
-            return self._ignore(REPEATED)
-        self._row(ages.step).ages[bird] = data
-        return self._complete()
+        run = ages.run_id, ages.epoch
+        if run != self._run:
+            return self._ignore_run(run)
+        return self._take(Ages, ages.step, bird, data)
 
     def add_time(self, data: bytes) -> list[Row]:
         """Take a message of /clock; return the rows that are complete with it."""
@@ -186,18 +177,18 @@ class RowAssembler:
         step = round(stamp / row_of_time) * self._every
         if not self._due(step) or self._configuration.stamp(step) != stamp:
             return self._ignore(REPEATED)
-        self._row(step).time = data
+        self._rows[step].time = data
         return self._complete()
 
     def add_stage(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdStage of `bird`; return the rows that are complete with it."""
         run_id, step, epoch, _, stage, _ = stage_header(data)
         if (run_id, epoch) != self._run:
-            return self._ignore(FOREIGN if run_id != self._run[0] else STALE)
+            return self._ignore_run((run_id, epoch))
         row = step - step % self._every + self._every
         if not self._due(row):
             return self._ignore(REPEATED) if row <= self._last else []
-        self._row(row).stages[STAGES * step + stage, bird] = data
+        self._rows[row].stages[STAGES * step + stage, bird] = data
         return self._complete()
 
     def _last_due(self, end: int) -> int:
@@ -207,18 +198,27 @@ class RowAssembler:
         self.ignored_for[reason] += 1
         return []
 
+    def _ignore_run(self, run: tuple[int, int]) -> list[Row]:
+        """Ignore a message of `run`, its run id and its epoch."""
+        return self._ignore(STALE if run[0] == self._run[0] else FOREIGN)
+
+    def _take(self, kind: type[Message], step: int, bird: int, data: bytes) -> list[Row]:
+        """Take a message of which a row has one per bird; return the rows that are complete."""
+        taken = self._rows[step].of[kind] if self._due(step) else None
+        if taken is None or bird in taken:
+            return self._ignore(REPEATED)
+        taken[bird] = data
+        return self._complete()
+
     def _due(self, step: int) -> bool:
         return step % self._every == 0 and self._next <= step <= self._last
-
-    def _row(self, step: int) -> _Gathering:
-        return self._rows.setdefault(step, _Gathering())
 
     def _complete(self) -> list[Row]:
         rows = []
         birds = self._birds
         exchange_schedule = self._configuration.link_table.exchange_schedule
         while not self.complete:
-            row = self._row(self._next)
+            row = self._rows[self._next]
             stages = 0
             if self._record_stages and self._next:
                 stages = len(birds) * exchange_schedule.exchanges(
@@ -227,17 +227,17 @@ class RowAssembler:
             if (
                 row.time is None
                 or (self._next == 0 and len(self._wings) < len(birds))
-                or len(row.states) < len(birds)
+                or len(row.of[State]) < len(birds)
                 or len(row.stages) < stages
-                or len(row.memories) < len(self._remember)
-                or len(row.ages) < self._tell_ages
+                or len(row.of[Memory]) < len(self._remember)
+                or len(row.of[Ages]) < self._tell_ages
             ):
                 break
             in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
-            states = [row.states[bird] for bird in birds]
+            states = [row.of[State][bird] for bird in birds]
             wings = [] if self._next else [self._wings[bird] for bird in birds]
-            memories = [row.memories[bird] for bird in self._remember]
-            ages = [row.ages[bird] for bird in sorted(row.ages)]
+            memories = [row.of[Memory][bird] for bird in self._remember]
+            ages = [row.of[Ages][bird] for bird in sorted(row.of[Ages])]
             rows.append(Row(self._next, wings, in_order, row.time, states, memories, ages))
             del self._rows[self._next]
             self._next += self._every

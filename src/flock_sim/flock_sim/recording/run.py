@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -22,7 +22,7 @@ from flock_sim.messages.types import ARRAYS
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
-from flock_sim.recording.flight_bag import checked_push
+from flock_sim.recording.flight_bag import recorded_push
 from flock_sim.recording.flight_writer import (
     CONFIGURATION_RECORD,
     FACTOR,
@@ -119,7 +119,7 @@ class Run:
         Raises FlockError if the number of ages is not the number of neighbours of the bird.
         """
         flown = self.configuration
-        bird_of = {topics.ages_topic(bird): bird for bird in range(1, flown.birds + 1)}
+        bird_of = self._bird_of(topics.ages_topic)
         for topic, _, data in self.bag.messages(topics=list(bird_of)):
             bird, ages = bird_of[topic], self._decode(messages.Ages, topic, data)
             links = len(formation.neighbours(bird, flown.birds, flown.coupling))
@@ -131,8 +131,7 @@ class Run:
 
     def states(self, start: int | None = None) -> Iterator[tuple[int, messages.State]]:
         """Yield (bird, state) in the order of the bag, from simulated time `start` in ns."""
-        birds = range(1, self.configuration.birds + 1)
-        bird_of = {topics.state_topic(bird): bird for bird in birds}
+        bird_of = self._bird_of(topics.state_topic)
         for topic, _, data in self.bag.messages(topics=list(bird_of), start=start):
             yield bird_of[topic], self.decode(topic, data)
 
@@ -148,10 +147,12 @@ class Run:
                 f"{self.path}: {topic}: {error}; take another copy of the bag"
             ) from error
 
+    def _bird_of(self, topic_of: Callable[[int], str]) -> dict[str, int]:
+        return {topic_of(bird): bird for bird in range(1, self.configuration.birds + 1)}
+
     def wings(self) -> dict[int, FloatArray]:
         """Return the span ratios of each bird, shape (members,), from its wing message."""
-        birds = range(1, self.configuration.birds + 1)
-        bird_of = {topics.wing_topic(bird): bird for bird in birds}
+        bird_of = self._bird_of(topics.wing_topic)
         found = self.bag.messages(topics=list(bird_of), end=1)
         return {
             bird_of[topic]: self._decode(messages.Wing, topic, data).span_ratio
@@ -167,10 +168,7 @@ class Run:
         members = self.configuration.members
         found: dict[int, list[Perturbation]] = {}
         for _, _, data in self.bag.messages([topics.PERTURBATION_TOPIC]):
-            try:
-                message = checked_push(data, self.configuration)
-            except FlockError as error:
-                raise FlockError(f"{self.path}: {error}; leave it out by ./flock repair") from error
+            message = recorded_push(self.path, data, self.configuration)
             number, pushes = message.number, message.each(members)
             if found.setdefault(number, pushes) != pushes:
                 raise FlockError(
