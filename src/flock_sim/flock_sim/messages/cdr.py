@@ -109,6 +109,14 @@ def put(data: bytearray, kind: str, value: Any) -> None:
         data += struct.pack("<" + kind, value)
 
 
+def fixed_layout(*kinds: str) -> struct.Struct:
+    """Return the layout of fields of fixed size, each aligned to its own size."""
+    layout = "<"
+    for kind in kinds:
+        layout += f"{-struct.calcsize(layout) % struct.calcsize(kind)}x{kind}"
+    return struct.Struct(layout)
+
+
 def _first(kind: str) -> str:
     """Return the format of the first number of a field: sequences begin with their length."""
     return "I" if kind in ("text", "numbers") else kind

@@ -26,6 +26,7 @@ from flock_sim.messages.cdr import (
     UInt8,
     UInt32,
     UInt64,
+    fixed_layout,
 )
 from flock_sim.messages.cdr import Message as Message
 from flock_sim.physics.arrays import FloatArray
@@ -63,6 +64,16 @@ class Stage(Message):
     position: Numbers
     speed: Numbers
     circulation: Numbers
+
+    @staticmethod
+    def header(data: bytes) -> tuple[int, int, int, int, int, int]:
+        """Return run id, step, epoch, bird, stage and members of an encoded stage."""
+        if len(data) < len(ENCAPSULATION) + STAGE_HEADER.size:
+            raise ValueError(f"stage message of {len(data)} bytes is too short")
+        run_id, step, epoch, bird, stage, members = STAGE_HEADER.unpack_from(
+            data, len(ENCAPSULATION)
+        )
+        return run_id, step, epoch, bird, stage, members
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +304,8 @@ class Time(Message):
         return self.seconds * BILLION + self.nanoseconds
 
 
-# The layout of encoded states and memories, in bytes, for code that does not decode them.
+# The layout of encoded messages, in bytes, for code that does not decode them.
+STAGE_HEADER = fixed_layout(*Stage.KINDS[: Stage.KINDS.index("numbers")], "I")
 _ONE = np.zeros(1)
 _STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE)
 STATE_STEP_AT = _STATE.place("step")
@@ -304,7 +316,7 @@ STATE_HEAD = _STATE.place(ARRAYS[0])
 """Size of the fields before the arrays, with the encapsulation."""
 STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8
 """Offset of the numbers of an array: its length and the padding come first."""
-STATE_ENVELOPE = struct.Struct("<" + "".join(State.KINDS[-2:]))
+STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
 """Run id and epoch, the last fields of a state."""
 MEMORY_STEP_AT = Memory(0, 0, 0, 0, np.empty(0)).place("step")
 

@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.messages.stage_layout import stage_header
-from flock_sim.messages.types import Ages, Memory, Message, State, Time
+from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time
 from flock_sim.physics.runge_kutta import STAGES
 
 
@@ -182,7 +181,7 @@ class RowAssembler:
 
     def add_stage(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdStage of `bird`; return the rows that are complete with it."""
-        run_id, step, epoch, _, stage, _ = stage_header(data)
+        run_id, step, epoch, _, stage, _ = Stage.header(data)
         if (run_id, epoch) != self._run:
             return self._ignore_run((run_id, epoch))
         row = step - step % self._every + self._every
