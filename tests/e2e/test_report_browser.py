@@ -17,7 +17,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.recording import flight_writer
+from flock_sim.recording import flight_bag
 from flock_tools.commands.report import tool
 from support.flights import record
 
@@ -56,7 +56,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         directory / "members", FlockConfiguration(t_max=100.0, span_ratios=("4=0.9,1.0,1.1",))
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flight_writer, "__version__", HOSTILE)
+        patch.setattr(flight_bag, "__version__", HOSTILE)
         markup = record(directory / "<script>x", FlockConfiguration(birds=3, t_max=20.0))
     runs = {
         "one": [one],

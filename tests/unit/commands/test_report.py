@@ -24,7 +24,7 @@ from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import add_flock_options, flock_configuration
 from flock_sim.console.arguments import Parser
-from flock_sim.recording import flight_writer
+from flock_sim.recording import flight_bag
 from flock_sim.recording.output_directory import remove_bag
 from flock_sim.recording.run import Run
 from flock_tools.commands.report import tool
@@ -212,7 +212,7 @@ def test_a_flock_whose_leader_is_nowhere_is_still_shown(tmp_path: Path) -> None:
 def test_markup_in_what_was_recorded_is_text(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flight_writer, "__version__", HOSTILE)
+    monkeypatch.setattr(flight_bag, "__version__", HOSTILE)
     path = tmp_path / f"run{HOSTILE}"
     path.parent.mkdir(parents=True)
     record(path, FlockConfiguration(birds=3, t_max=20.0))

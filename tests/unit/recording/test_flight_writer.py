@@ -23,7 +23,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
 from flock_sim.messages.types import Grant, Stage
-from flock_sim.recording import flight_writer as recording_module
+from flock_sim.recording import flight_bag
 from flock_sim.recording.flight_bag import has_stages
 from flock_sim.recording.flight_writer import Recording, lay_down, recording
 from flock_sim.recording.row_assembler import Row
@@ -371,7 +371,7 @@ def test_another_flight_is_not_gone_on_with(
         birds=birds, t_max=60.0, record_every=2, span_ratios=("2=1,1.05",)
     )
     if other == "version":
-        monkeypatch.setattr(recording_module, "__version__", "99.0")
+        monkeypatch.setattr(flight_bag, "__version__", "99.0")
     with (
         pytest.raises(FlockError, match="can't be gone on with: it was begun with another") as told,
         recording(

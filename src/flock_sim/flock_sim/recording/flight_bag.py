@@ -1,16 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requirements on the bag of a flight: its topics, and messages that fit its configuration."""
+"""The content of a flight's bag: its records, its topics, and messages that fit the flight."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
+from flock_sim import __version__
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake
+
+CONFIGURATION_RECORD = "flock"
+"""The MCAP metadata record that holds the configuration, each value as JSON."""
+
+_FREE_RECORD, _FACTOR = "free", "real_time_factor"  # the additional record of a free flight
+
+
+def records(configuration: FlockConfiguration, factor: float) -> dict[str, dict[str, str]]:
+    """Return the metadata records of a bag; `factor` is the real-time factor of a free flight.
+
+    The configuration has the version of Flock that flew it. Without entries, its key `links` is
+    left out, so that such bags keep their original form.
+    """
+    values: dict[str, Any] = {**configuration.parameters(), "flock_version": __version__}
+    if not configuration.links:
+        del values["links"]
+    found = {CONFIGURATION_RECORD: {key: json.dumps(value) for key, value in values.items()}}
+    return found | ({_FREE_RECORD: {_FACTOR: json.dumps(factor)}} if factor else {})
+
+
+def recorded_configuration(bag: BagReader) -> FlockConfiguration:
+    """Return the configuration in a bag. Raises FlockError or ValueError if there is none."""
+    record = bag.metadata(CONFIGURATION_RECORD)
+    values = {key: json.loads(value) for key, value in record.items()}
+    values.pop("flock_version", None)
+    return FlockConfiguration.from_parameters(values)
+
+
+def recorded_factor(bag: BagReader) -> float:
+    """Return the real-time factor of a free flight; 0 for a flight in lockstep.
+
+    Raises FlockError if it can't be read.
+    """
+    if topics.ages_topic(1) not in bag.topics:
+        return 0.0
+    try:
+        return float(json.loads(bag.metadata(_FREE_RECORD)[_FACTOR]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise FlockError(
+            f"{bag.path}: the real-time factor can't be read ({error}); take another copy of "
+            "the bag"
+        ) from error
 
 
 def check_grants(bag: BagReader, configuration: FlockConfiguration, factor: float = 0.0) -> None:

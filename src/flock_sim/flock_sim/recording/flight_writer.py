@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from flock_sim import __version__
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.partial_bag import PartialBag
@@ -20,17 +18,15 @@ from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import in_order
-from flock_sim.recording.flight_bag import check_grants, checked_push, kinds, recorded_push
+from flock_sim.recording.flight_bag import (
+    check_grants,
+    checked_push,
+    kinds,
+    recorded_push,
+    records,
+)
 from flock_sim.recording.recorded_rows import RecordedRows
 from flock_sim.recording.row_assembler import Row
-
-CONFIGURATION_RECORD = "flock"
-"""The MCAP metadata record that holds the configuration, each value as JSON."""
-
-FREE_RECORD = "free"
-"""The additional metadata record of a free flight, with its real-time factor as JSON."""
-
-FACTOR = "real_time_factor"
 
 
 class _Waiting(NamedTuple):
@@ -90,8 +86,7 @@ class Recording:
                 )
                 for name, kind in topic_kinds.items()
             ],
-            {CONFIGURATION_RECORD: configuration_record(configuration)}
-            | ({FREE_RECORD: {FACTOR: json.dumps(factor)}} if factor else {}),
+            records(configuration, factor),
             resume=resume,
             replace=replace,
         )
@@ -307,21 +302,3 @@ def lay_down(
     )
     run.bag.leave()
     return run
-
-
-def configuration_record(configuration: FlockConfiguration) -> dict[str, str]:
-    """Return the configuration as text, key by key, with the version of Flock that flew it.
-
-    Without entries, the key `links` is left out, so that such bags keep their original form.
-    """
-    values: dict[str, Any] = {**configuration.parameters(), "flock_version": __version__}
-    if not configuration.links:
-        del values["links"]
-    return {key: json.dumps(value) for key, value in values.items()}
-
-
-def configuration_of(record: Mapping[str, str]) -> FlockConfiguration:
-    """Return the configuration in a bag's record. Raises FlockError or ValueError if it is bad."""
-    values = {key: json.loads(value) for key, value in record.items()}
-    values.pop("flock_version", None)
-    return FlockConfiguration.from_parameters(values)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,13 +21,7 @@ from flock_sim.messages.types import ARRAYS
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
-from flock_sim.recording.flight_bag import recorded_push
-from flock_sim.recording.flight_writer import (
-    CONFIGURATION_RECORD,
-    FACTOR,
-    FREE_RECORD,
-    configuration_of,
-)
+from flock_sim.recording.flight_bag import recorded_configuration, recorded_factor, recorded_push
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -48,7 +41,7 @@ class Run:
         self.path = Path(path)
         self.bag = BagReader(self.path)
         try:
-            self.configuration = configuration_of(self.bag.metadata(CONFIGURATION_RECORD))
+            self.configuration = recorded_configuration(self.bag)
         except (KeyError, ValueError, FlockError) as error:
             self.bag.close()
             torn = self.bag.missing and not self.bag.topics
@@ -103,15 +96,7 @@ class Run:
 
         Raises FlockError if it can't be read.
         """
-        if topics.ages_topic(1) not in self.bag.topics:
-            return 0.0
-        try:
-            return float(json.loads(self.bag.metadata(FREE_RECORD)[FACTOR]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise FlockError(
-                f"{self.path}: the real-time factor can't be read ({error}); take another copy of "
-                "the bag"
-            ) from error
+        return recorded_factor(self.bag)
 
     def ages(self) -> Iterator[tuple[int, messages.Ages]]:
         """Yield (bird, ages of its data) in the order of the bag; nothing if not flown freely.

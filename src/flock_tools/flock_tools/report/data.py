@@ -17,7 +17,7 @@ from flock_sim.errors import RunFailed
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.scaling import Scales, drag_reduction
-from flock_sim.recording.flight_writer import CONFIGURATION_RECORD
+from flock_sim.recording.flight_bag import CONFIGURATION_RECORD
 from flock_sim.recording.run import Run
 from flock_sim.theory import nearest
 from flock_tools.report.decimation import bucket_width, ends, extremes, frame_rows
