@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP chunk with its message indexes, packed by hand for speed."""
+"""An MCAP chunk with its message indexes, packed and checked by hand for speed."""
 
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
+import numpy as np
+import numpy.typing as npt
 from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
@@ -15,10 +17,11 @@ from flock_sim.bag.records import FRAME, MESSAGE, MESSAGE_HEAD, MESSAGE_OPCODE
 # opcode, length; start and end time (ns), uncompressed size, CRC, compression, compressed size.
 _CHUNK = struct.Struct("<BQQQQII4sQ")
 CHUNK_HEAD = _CHUNK.size  # bytes
-MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length of the rest, channel, bytes of entries
+_MESSAGE_INDEX = struct.Struct("<BQHI")  # opcode, length of the rest, channel, bytes of entries
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_END = struct.Struct("<QI4sQQ")
-_ENTRY = 16  # bytes of a message's log time and offset in a message index
+_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])  # of a message, in a message index
+_CHANNEL_AT, _TIME_AT = FRAME.size, FRAME.size + 6  # in the record of a message
 
 
 Entries = Iterable[tuple[int, list[int]]]
@@ -126,7 +129,7 @@ def message_indexes(entries: Entries) -> bytes:
     for channel, flat in entries:
         if flat:
             size = 8 * len(flat)
-            parts.append(MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+            parts.append(_MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
             parts.append(struct.pack(f"<{len(flat)}Q", *flat))
     return b"".join(parts)
 
@@ -143,11 +146,11 @@ def summarise(head: bytes, indexes: bytes, offset: int) -> ChunkSummary:
         places: list[tuple[int, int]] = []
         counts: list[tuple[int, int]] = []
         while at < len(indexes):
-            opcode, length, channel, entries_size = MESSAGE_INDEX.unpack_from(indexes, at)
+            opcode, length, channel, entries_size = _MESSAGE_INDEX.unpack_from(indexes, at)
             if opcode != Opcode.MESSAGE_INDEX or length != 6 + entries_size:
                 raise ValueError("a message index does not parse")
             places.append((channel, offset + chunk_length + at))
-            counts.append((channel, entries_size // _ENTRY))
+            counts.append((channel, entries_size // _ENTRY.itemsize))
             at += FRAME.size + length
     except struct.error as error:
         raise ValueError(f"a chunk or its message index is cut short: {error}") from error
@@ -167,3 +170,58 @@ def summarise(head: bytes, indexes: bytes, offset: int) -> ChunkSummary:
         )
     )
     return ChunkSummary(index, start, end, tuple(counts))
+
+
+def fits(body: bytes, head: bytes, indexes: bytes, packed_size: int) -> bool:
+    """Return whether `head` and `indexes` are those that `OpenChunk` makes for this `body`.
+
+    Whole arrays are compared for speed: each resume reads the whole file, which may have millions
+    of messages.
+    """
+    try:
+        channels, parts = zip(*_entries(indexes), strict=True)
+    except ValueError:
+        return False
+    entries = np.concatenate(parts)
+    channel = np.repeat(channels, [len(part) for part in parts])
+    in_order = list(channels) == sorted(set(channels)) and all(
+        (np.diff(part["offset"].astype(np.int64)) > 0).all() for part in parts
+    )
+    last_end = int(entries["offset"].max()) + MESSAGE.size
+    if not in_order or last_end > len(body):
+        return False
+    order = np.argsort(entries["offset"])
+    offset, time = entries["offset"][order].astype(np.int64), entries["time"][order]
+    data = np.frombuffer(body, np.uint8)
+    ends = offset + FRAME.size + _numbers(data, offset + 1, 8)
+    times = [(0, [int(time.min()), 0, int(time.max()), 0])]
+    return bool(
+        np.array_equal(offset, [0, *ends[:-1]])
+        and ends[-1] == len(body)
+        and (data[offset] == MESSAGE_OPCODE).all()
+        and (_numbers(data, offset + _CHANNEL_AT, 2) == channel[order]).all()
+        and (_numbers(data, offset + _TIME_AT, 8).astype(np.uint64) == time).all()
+        and head == chunk_head(body, times, packed_size)
+    )
+
+
+def _entries(indexes: bytes) -> Iterator[tuple[int, npt.NDArray[np.void]]]:
+    """Yield channel and entries of each message index; raises ValueError if one is damaged."""
+    at = 0
+    while at < len(indexes):
+        try:
+            _, length, channel, size = _MESSAGE_INDEX.unpack_from(indexes, at)
+        except struct.error as error:
+            raise ValueError("a message index is cut short") from error
+        begin, at = at + _MESSAGE_INDEX.size, at + FRAME.size + length
+        if length != _MESSAGE_INDEX.size - FRAME.size + size or not size:
+            raise ValueError("a message index has a wrong length")
+        yield channel, np.frombuffer(indexes[begin:at], _ENTRY)
+
+
+def _numbers(
+    data: npt.NDArray[np.uint8], at: npt.NDArray[np.int64], size: int
+) -> npt.NDArray[np.int64]:
+    """Return the little-endian numbers of `size` bytes at the offsets `at`."""
+    found: npt.NDArray[np.uint8] = data[at[:, np.newaxis] + np.arange(size)]
+    return found.view(np.dtype(f"<u{size}")).ravel().astype(np.int64)

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from flock_sim.bag.chunk import CHUNK_HEAD, summarise
-from flock_sim.bag.chunk_check import fits
+from flock_sim.bag.chunk import CHUNK_HEAD, fits, summarise
 from flock_sim.bag.directory import NEW_FILE, is_recording
 from flock_sim.bag.file_sections import Written
 from flock_sim.bag.index import has_end
