@@ -24,6 +24,8 @@ Float64 = Annotated[float, "d"]
 Text = Annotated[str, "text"]
 Numbers = Annotated[FloatArray, "numbers"]  # a float64 sequence
 
+_FIRST = {"text": "I", "numbers": "I"}  # sequences begin with their length
+
 
 class Message:
     """A message: a dataclass whose fields have the types above, in the order of the bytes."""
@@ -48,7 +50,7 @@ class Message:
         data = bytearray(ENCAPSULATION)
         for field, kind, value in self._fields():
             if field == name:
-                align(data, struct.calcsize(_first(kind)))
+                align(data, struct.calcsize(_FIRST.get(kind, kind)))
                 return len(data)
             put(data, kind, value)
         raise KeyError(name)
@@ -62,7 +64,7 @@ class Message:
         at = 4
         try:
             for kind in cls.KINDS:
-                first = _first(kind)
+                first = _FIRST.get(kind, kind)
                 size = struct.calcsize(first)
                 at += (4 - at) % size
                 (value,) = struct.unpack_from("<" + first, data, at)
@@ -115,8 +117,3 @@ def fixed_layout(*kinds: str) -> struct.Struct:
     for kind in kinds:
         layout += f"{-struct.calcsize(layout) % struct.calcsize(kind)}x{kind}"
     return struct.Struct(layout)
-
-
-def _first(kind: str) -> str:
-    """Return the format of the first number of a field: sequences begin with their length."""
-    return "I" if kind in ("text", "numbers") else kind

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -25,32 +26,24 @@ from flock_sim.messages.types import (
 
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
-    members, count, (first, second, third, fourth) = _layout(len(data))
-    starts = data.startswith
+    members, lengths = _layout(len(data))
     if (
-        starts(ENCAPSULATION)
-        and starts(STATE_FRAME, STATE_FRAME_AT)
-        and starts(count, first)
-        and starts(count, second)
-        and starts(count, third)
-        and starts(count, fourth)
+        members
+        and data.startswith(ENCAPSULATION)
+        and data.startswith(STATE_FRAME, STATE_FRAME_AT)
+        and set(lengths.unpack(data)) == {members}
     ):
         return members
     return 0
 
 
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layout(size: int) -> tuple[int, bytes, list[int]]:
-    """Return the members of a state of `size` bytes, and the bytes and places of array counts."""
-    stride, rest = divmod(size - STATE_HEAD - STATE_ENVELOPE.size, len(ARRAYS))
-    members, more = divmod(stride - STATE_NUMBERS_AT, 8)
-    if rest or more or members < 1:
-        return 0, b"", [0, 0, 0, 0]
-    return (
-        members,
-        members.to_bytes(4, "little"),
-        [STATE_HEAD + k * stride for k in range(len(ARRAYS))],
-    )
+def _layout(size: int) -> tuple[int, struct.Struct]:
+    """Return the members of a state of `size` bytes (0: none has it) and its `State.lengths`."""
+    members, rest = divmod(size - State.lengths(0).size, 8 * len(ARRAYS))
+    if rest or members < 1:
+        members = 0
+    return members, State.lengths(members)
 
 
 def same_head(one: bytes, other: bytes) -> bool:
