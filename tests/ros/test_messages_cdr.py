@@ -25,7 +25,7 @@ from flock_interfaces.msg import (
     Progress,
 )
 from flock_sim.messages import types as messages
-from flock_sim.messages.stage_layout import stage_bytes, stage_header, stage_numbers, stage_words
+from flock_sim.messages.stage_layout import stage_bytes, stage_numbers, stage_words
 
 KINDS = {
     "Q": st.integers(0, 2**64 - 1),
@@ -122,6 +122,6 @@ def test_a_stage_where_it_lies_is_what_ros_reads(
     words = np.zeros(stage_words(members))
     data = stage_bytes(words, members)
     data[:] = cdr[: len(data)]
-    run_id, step, epoch, bird, number, count = stage_header(bytes(data))
+    run_id, step, epoch, bird, number, count = messages.Stage.header(bytes(data))
     assert (run_id, step, epoch, bird, number, count) == (*header, members)
     assert [row.tolist() for row in stage_numbers(words, members)] == rows

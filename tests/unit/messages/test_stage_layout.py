@@ -10,7 +10,6 @@ from flock_sim.messages.stage_layout import (
     HEADER_WORD,
     HEADER_WORDS,
     stage_bytes,
-    stage_header,
     stage_numbers,
     stage_words,
 )
@@ -64,10 +63,10 @@ def test_bytes_and_numbers_are_the_same_memory():
 
 def test_the_header_is_read_without_decoding_the_message():
     _, data = lying(2)
-    assert stage_header(bytes(data)) == (7, 1000, 2, 13, 3, 2)
+    assert Stage.header(bytes(data)) == (7, 1000, 2, 13, 3, 2)
 
 
 @pytest.mark.parametrize("length", [0, 4, HEADER_AT + HEADER.size - 1])
 def test_a_message_too_short_for_a_header_is_refused(length):
     with pytest.raises(ValueError, match=f"{length} bytes is too short"):
-        stage_header(bytes(length))
+        Stage.header(bytes(length))

@@ -11,7 +11,6 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import IMPOSSIBLE
-from flock_sim.messages.stage_layout import stage_header
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.clock import Timekeeper
@@ -178,7 +177,7 @@ def test_a_stage_that_overtakes_its_senders_wing_is_kept_until_the_wing_is_here(
     assert bird.receive_stage(stage) == []
     out = bird.receive_wing(Wing.decode(other_wing))
     out += bird.receive_grant(grant(1, configuration))
-    headers = [stage_header(data) for data in of(Channel.STAGE, out)]
+    headers = [Stage.header(data) for data in of(Channel.STAGE, out)]
     assert [(step, stage) for _, step, _, _, stage, _ in headers] == [(0, 0), (0, 1)]
     assert bird.ignored == 0
 
@@ -246,7 +245,7 @@ def test_a_bird_that_waits_says_again_the_two_stages_that_a_neighbour_may_lack()
     ticks = [(0, 0)]
     for stage in range(3):
         said = of(Channel.STAGE, bird.report())
-        assert [stage_header(data)[1::3] for data in said] == ticks[-2:]
+        assert [Stage.header(data)[1::3] for data in said] == ticks[-2:]
         bird.receive_stage(Stage(RUN, 0, EPOCH, 2, stage, one, one, one).encode())
         ticks.append((0, stage + 1))
     bird.receive_grant(grant(0, configuration, epoch=EPOCH + 1))

@@ -10,22 +10,14 @@ from __future__ import annotations
 
 import struct
 
-from flock_sim.messages.types import ENCAPSULATION, Stage
+from flock_sim.messages.cdr import ENCAPSULATION
+from flock_sim.messages.types import STAGE_HEADER as HEADER
+from flock_sim.messages.types import Stage
 from flock_sim.physics.arrays import FloatArray
 
 WORD = 8
 SEQUENCES = Stage.KINDS.count("numbers")
 
-
-def _cdr(*kinds: str) -> struct.Struct:
-    """Return the CDR layout of fields of fixed size, each aligned to its own size."""
-    layout = "<"
-    for kind in kinds:
-        layout += f"{-struct.calcsize(layout) % struct.calcsize(kind)}x{kind}"
-    return struct.Struct(layout)
-
-
-HEADER = _cdr(*Stage.KINDS[:-SEQUENCES], "I")
 HEADER_AT = len(ENCAPSULATION)
 HEADER_END = HEADER_AT + HEADER.size
 
@@ -56,14 +48,6 @@ def stage_bytes(words: FloatArray, members: int) -> memoryview:
         at = HEADER_END + WORD * (sequence * (members + 1) - 1)
         data[at : at + len(length)] = length
     return data
-
-
-def stage_header(data: bytes) -> tuple[int, int, int, int, int, int]:
-    """Return run id, step, epoch, bird, stage and members of an encoded stage message."""
-    if len(data) < HEADER_END:
-        raise ValueError(f"stage message of {len(data)} bytes is too short")
-    run_id, step, epoch, bird, stage, members = HEADER.unpack_from(data, HEADER_AT)
-    return run_id, step, epoch, bird, stage, members
 
 
 def stage_numbers(words: FloatArray, members: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,8 +16,8 @@ import numpy as np
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
-from flock_sim.messages.cdr import ENCAPSULATION as ENCAPSULATION
 from flock_sim.messages.cdr import (
+    ENCAPSULATION,
     Float64,
     Int32,
     Int64,

@@ -11,7 +11,7 @@ import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.links.choice import perceive
-from flock_sim.links.linear import LINEAR
+from flock_sim.links.models import LINEAR
 from flock_sim.links.registry import MODELS
 from flock_sim.links.settings import Settings
 from flock_sim.messages.stage_layout import FIRST_WORD, stage_words

@@ -27,9 +27,9 @@ from flock_sim.messages.stage_layout import (
     HEADER_AT,
     HEADER_END,
     WORD,
-    stage_header,
     stage_words,
 )
+from flock_sim.messages.types import Stage
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.stage_words import (
@@ -166,7 +166,7 @@ class StageInbox:
         """Return why a message is for neither slot; keep it if it is for a later epoch."""
         if len(data) != self.word[SIZE]:
             return MISSHAPEN
-        run_id, step, epoch, bird, stage, members = stage_header(data)
+        run_id, step, epoch, bird, stage, members = Stage.header(data)
         if run_id == 0 or self._run_id not in (0, run_id):
             return FOREIGN
         if bird not in self._neighbours:
@@ -216,8 +216,8 @@ class StageInbox:
 
     @staticmethod
     def _run_of(data: bytes) -> int:
-        return stage_header(data)[0]
+        return Stage.header(data)[0]
 
     @staticmethod
     def _epoch_of(data: bytes) -> int:
-        return stage_header(data)[2]
+        return Stage.header(data)[2]
