@@ -10,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from flock_sim.physics.arrays import FloatArray
 from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.types import (
     ARRAYS,
@@ -22,6 +21,7 @@ from flock_sim.messages.types import (
     STATE_STEP_AT,
     State,
 )
+from flock_sim.physics.arrays import FloatArray
 
 
 def members_of(data: bytes) -> int:
