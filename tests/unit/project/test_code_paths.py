@@ -46,8 +46,9 @@ def defined(module: str) -> set[str]:
     return found
 
 
-def test_the_path_of_a_recorded_row_is_listed() -> None:
+def test_the_paths_of_a_recorded_row_and_of_a_stage_message_are_listed() -> None:
     assert len(PATHS["The path of a recorded row"]) > 20
+    assert len(PATHS["The path of a stage message"]) > 10
 
 
 @pytest.mark.parametrize("path", PATHS)
