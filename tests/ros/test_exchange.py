@@ -112,7 +112,7 @@ class Forging(Observed):
 
     def forge(self) -> None:
         """Say in the name of another bird what is wrong in one thing, and awaited but for that."""
-        run_id, epoch = self.protocol._now
+        run_id, epoch = self.protocol._session.now
         step, number = divmod(self.protocol.tick, STAGES)
         other = self.random.choice(self.names)
         one = np.ones(CONFIGURATION.members)

@@ -176,8 +176,9 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
             supervisor.join(JOIN_LIMIT)
     finally:
         rclpy.try_shutdown(context=context)
+    steps, seconds = max(0, keeper.step - (keeper.began or 0)), ended - begun
     return {
-        "steps_per_second": keeper.distance / (ended - begun) if ended > begun else 0.0,
+        "steps_per_second": steps / seconds if seconds > 0.0 else 0.0,
         "start_seconds": begun - plan.begun,
         "steps_flown_again": keeper.rewinds.steps,
         "rewinds": keeper.rewinds.count,

@@ -163,7 +163,7 @@ class ClockNode(Node):
                 "epoch": keeper.epoch,
                 "rewinds": keeper.rewinds.count,
                 "steps flown again": keeper.rewinds.steps,
-                "recorder lag": keeper.lag,
+                "recorder lag": max(0, keeper.step - max(keeper.saved, 0)),
                 **ignored(keeper.ignored_for),
             },
         )

@@ -58,7 +58,7 @@ class Control:
         keeper = self._keeper
         if keeper.leave_known:
             return f"pausing at step {keeper.pauses_at}"
-        after = f"{keeper.steps_asked} steps after " if keeper.steps_asked else ""
+        after = f"{keeper.pausing.steps} steps after " if keeper.pausing.steps else ""
         return f"pausing {after}where the flight begins or goes on, once all are there"
 
     def _perturb(self, request: Perturb.Request, response: Perturb.Response) -> Perturb.Response:

@@ -80,8 +80,8 @@ class Attendance:
 
     @property
     def saved(self) -> int:
-        """The last step on disk; -1 or less for none. Raises KeyError without a recorder."""
-        return self._reached[RECORDER]
+        """The last step on disk, -1 or less for none; without a recorder, the step reached."""
+        return self._reached.get(RECORDER, self.step)
 
     def waiting_for(self, granted: int) -> list[str]:
         """Return the nodes that must move before a run granted up to a step can continue."""

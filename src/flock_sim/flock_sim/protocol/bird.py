@@ -20,18 +20,15 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.messages.rejection import FOREIGN as FOREIGN_RUN
 from flock_sim.messages.topics import bird_name
-from flock_sim.messages.types import Checkpoint, Grant, Progress, Wing
+from flock_sim.messages.types import Checkpoint, Grant, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.checkpoints import Checkpoints
 from flock_sim.protocol.control_force import Control
-from flock_sim.protocol.motion import Motion
+from flock_sim.protocol.motion import LockstepMotion
 from flock_sim.protocol.neighbours import Listener, Neighbourhood
-from flock_sim.protocol.session import Channel, Outgoing, Session
+from flock_sim.protocol.session import Channel, Granted, Outgoing, Session
 from flock_sim.protocol.stage_inbox import StageInbox
 from flock_sim.protocol.stage_words import END, FOREIGN, TICK
-
-MOST_SILENT = 1000
-"""Most steps between two reports, however far the grant goes: it may not be the clock's."""
 
 
 class BirdProtocol(Listener):
@@ -66,10 +63,10 @@ class BirdProtocol(Listener):
         self._configuration = configuration
         self._session = Session(bird_name(bird), configuration, run_id, incarnation)
         self._end = configuration.steps
-        self._granted = -1
-        self._flying = False  # in this epoch: the checkpoint and every wing are known
+        self._granted = Granted()
+        self.in_flight = False
+        """Whether this bird exchanges stages: the checkpoint and every wing are known."""
         self._start = 0  # the step of the checkpoint; -1 if its state is not on disk
-        self._report_at = 0
         self._began = 0  # the tick at which this bird began the epoch
         self._held = False  # at a step's beginning, own values known, not granted
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
@@ -78,18 +75,13 @@ class BirdProtocol(Listener):
         schedule = configuration.link_table.exchange_schedule
         members = configuration.members
         self._inbox = StageInbox(self._around.birds, members, schedule, run_id, bird)
-        self._motion = Motion(bird, configuration, self._around, self._inbox, control)
+        self._motion = LockstepMotion(bird, configuration, self._around, self._inbox, control)
         self.words = self._inbox.words
         """The words that the compiled exchange continues from; see `protocol/stage_words.py`."""
         self.outbox = self._motion.outbox
         """Its last two stage messages, one for each side: the compiled exchange sends them."""
         self.only_exchanges = self._motion.only_exchanges
         """Whether most stages need no more than the exchange of messages."""
-
-    @property
-    def run_id(self) -> int:
-        """The run of this bird; 0 if it is not known yet."""
-        return self._session.run_id
 
     @property
     def step(self) -> int:
@@ -105,17 +97,7 @@ class BirdProtocol(Listener):
     def _reached(self) -> int:
         """The last step begun with all neighbours' values known; -1: none in this epoch."""
         tick = self.tick + self._held
-        return (tick - 1) // STAGES if self._flying and tick > self._began else -1
-
-    @property
-    def released(self) -> bool:
-        """Whether the clock has ended the run and no node needs this bird any more."""
-        return self._session.released(self.step, self._end)
-
-    @property
-    def in_flight(self) -> bool:
-        """Whether this bird exchanges stages."""
-        return self._flying
+        return (tick - 1) // STAGES if self.in_flight and tick > self._began else -1
 
     @property
     def finished(self) -> bool:
@@ -130,13 +112,13 @@ class BirdProtocol(Listener):
     @property
     def waiting_for(self) -> str:
         """What the bird needs to continue, as text."""
-        if self._granted < 0:
+        if self._granted.step < 0:
             return "the clock's first grant"
         if unknown := self._around.unknown:
             return f"the wing of {', '.join(map(bird_name, unknown))}"
-        if not self._flying and self._checkpoints.now is None:
+        if not self.in_flight and self._checkpoints.now is None:
             return "the checkpoint to go on from (the recorder's, or the clock's if none records)"
-        if not self._flying:
+        if not self.in_flight:
             return "the clock to begin anew: this epoch was begun without it"
         if self.finished:
             return "the clock's word that the run is over"
@@ -165,7 +147,7 @@ class BirdProtocol(Listener):
 
     def advance(self) -> list[Outgoing]:
         """Continue, stage by stage, as far as the messages and the grant allow."""
-        return self._advance() if self._flying and self._inbox.complete else []
+        return self._advance() if self.in_flight and self._inbox.complete else []
 
     def report(self) -> list[Outgoing]:
         """Return the messages of a waiting bird: its progress and its last two stages.
@@ -173,7 +155,7 @@ class BirdProtocol(Listener):
         A neighbour can lack no other stages. So a message that the middleware loses costs time,
         but does not stop the flock.
         """
-        if self._granted < 0:
+        if self._granted.step < 0:
             return []  # no run is known yet
         self._session.hear_nothing()
         if self._begun_without_it:
@@ -199,32 +181,21 @@ class BirdProtocol(Listener):
 
     def _plan(self) -> None:
         """Set the tick from which on this object has more to do than to exchange messages."""
-        idle = self.released or self._held or not self._flying
-        self._inbox.word[END] = 0 if idle or not self.only_exchanges else self._next_event()
-
-    def _next_event(self) -> int:
-        """Return the tick of the next step at which this bird reports, or is held or pushed."""
-        step, every = -(-self.tick // STAGES), self._configuration.record_every
-        events = [self._granted, -(-step // every) * every, self._report_at]
-        ticks = [STAGES * event for event in events if event >= step]
-        # A push changes the values that the stage before it computes, before they are sent.
-        pushed = [STAGES * event - 1 for event in self._pushes if event >= step]
-        return min(ticks + pushed)
-
-    @property
-    def _now(self) -> tuple[int, int]:
-        """The current run and epoch."""
-        return self._session.run_id, self._session.epoch
+        end = 0
+        if self.only_exchanges and self.in_flight and not (self.released or self._held):
+            every = self._configuration.record_every
+            end = self._granted.next_event(self.tick, every, self._pushes)
+        self._inbox.word[END] = end
 
     def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
         """Drop the current epoch, and wait for the checkpoint of the grant's epoch."""
-        run_id, epoch = self._now
+        run_id, epoch = self._session.now
         self._checkpoints.forget_old()
         self._end = grant.end
-        self._flying = self._held = False
+        self.in_flight = self._held = False
         self._start = -1
         self._inbox.close(run_id, epoch)
-        self._grant(grant.step)
+        self._granted.extend(min(grant.step, grant.end), self.step)
         out = [self._progress(-1)]
         if first:
             ratio = self._configuration.span_ratio[self.bird - 1]
@@ -235,18 +206,12 @@ class BirdProtocol(Listener):
     def _extend(self, grant: Grant) -> list[Outgoing]:
         """Continue as far as a grant of this epoch allows."""
         self._end = min(self._end, grant.end)
-        if grant.step <= self._granted:
+        if grant.step <= self._granted.step:
             return []
-        self._grant(grant.step)
+        self._granted.extend(min(grant.step, self._end), self.step)
         out = self._advance() if self._held else []
         self._plan()
         return out
-
-    def _grant(self, step: int) -> None:
-        step = min(step, self._end)
-        self._granted = step
-        # Report half way, so that the next grant arrives before this one is used up.
-        self._report_at = self.step + max(1, min((step - self.step) // 2, MOST_SILENT))
 
     @property
     def _begun_without_it(self) -> bool:
@@ -255,14 +220,16 @@ class BirdProtocol(Listener):
         The grant is for an earlier incarnation of this bird, or it is forged.
         """
         checkpoint = self._checkpoints.now
-        return not self._flying and checkpoint is not None and self._granted > checkpoint.step
+        return (
+            not self.in_flight and checkpoint is not None and self._granted.step > checkpoint.step
+        )
 
     def _begin(self) -> list[Outgoing]:
         """Once the checkpoint and every wing are known, begin the epoch: send the first stage."""
         checkpoint = self._checkpoints.now
-        if self._flying or not self._around.known or checkpoint is None or self._begun_without_it:
+        if self.in_flight or not self._around.known or checkpoint is None or self._begun_without_it:
             return []
-        self._flying = self._session.flying = True
+        self.in_flight = self._session.flying = True
         self._pushes = self._checkpoints.pushes(checkpoint)
         self._began = STAGES * checkpoint.step
         self._motion.begin(checkpoint)
@@ -271,7 +238,7 @@ class BirdProtocol(Listener):
         else:
             self._push(0)
         due = self._inbox.open(self._began)
-        self._grant(self._granted)
+        self._granted.extend(self._granted.step, self.step)
         return [*([self._stage()] if due else []), *self.advance()]
 
     def _push(self, step: int) -> None:
@@ -289,11 +256,11 @@ class BirdProtocol(Listener):
         while inbox.complete:
             step, stage = divmod(self.tick, STAGES)
             if not self._held:
-                self._motion.compute()
+                self._motion.advance()
             if stage == 0:
                 if not self._held:
                     out += self._reports(step)
-                self._held = step >= self._granted
+                self._held = step >= self._granted.step
                 if self._held:
                     break
             if stage + 1 == STAGES:
@@ -307,17 +274,9 @@ class BirdProtocol(Listener):
         """Return the messages to the recorder and the clock at the beginning of `step`."""
         out = []
         if step % self._configuration.record_every == 0 and step != self._start:
-            out.append((Channel.STATE, self._motion.state(*self._now).encode()))
-            if memory := self._motion.memory(*self._now):
+            out.append((Channel.STATE, self._motion.state(step, *self._session.now).encode()))
+            if memory := self._motion.memory(step, *self._session.now):
                 out.append((Channel.MEMORY, memory.encode()))
-        if step >= self._granted or step == self._report_at:
+        if self._granted.reports(step):
             out.append(self._progress(step))
-            if self._granted - step > MOST_SILENT:
-                self._report_at = step + MOST_SILENT
         return out
-
-    def _progress(self, step: int) -> Outgoing:
-        """Return the report of having reached `step`; -1: present, but not yet at the start."""
-        run_id, epoch = self._now
-        progress = Progress(run_id, step, epoch, bird_name(self.bird), self._session.incarnation)
-        return Channel.PROGRESS, progress.encode()

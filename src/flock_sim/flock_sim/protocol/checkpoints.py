@@ -26,7 +26,7 @@ class Checkpoints:
     @property
     def now(self) -> Checkpoint | None:
         """The checkpoint of this epoch, if it has arrived."""
-        return self._kept.get((self._session.run_id, self._session.epoch))
+        return self._kept.get(self._session.now)
 
     def take(self, checkpoint: Checkpoint) -> str:
         """Keep a checkpoint; return why it is ignored, or ""."""
@@ -39,14 +39,14 @@ class Checkpoints:
             return IMPOSSIBLE
         self._kept[key] = checkpoint
         if len(self._kept) > EARLY:
-            now = self._session.run_id, self._session.epoch
-            del self._kept[next(key for key in self._kept if key != now)]  # the oldest
+            oldest = next(key for key in self._kept if key != self._session.now)
+            del self._kept[oldest]
             return FOREIGN
         return ""
 
     def forget_old(self) -> None:
         """Drop those of other runs and of epochs that are over."""
-        run_id, epoch = self._session.run_id, self._session.epoch
+        run_id, epoch = self._session.now
         self._kept = {
             key: checkpoint
             for key, checkpoint in self._kept.items()

@@ -20,7 +20,7 @@ from flock_sim.messages.rejection import FOREIGN, REPEATED, STALE
 from flock_sim.messages.topics import RECORDER, bird_name, steps_ahead
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Push, Time
 from flock_sim.protocol.attendance import ABSENT, Attendance
-from flock_sim.protocol.requests import Pause, step_of_push
+from flock_sim.protocol.requests import Window, step_of_push
 
 UNKNOWN = "from nobody of this flock"
 
@@ -78,12 +78,10 @@ class Timekeeper:
         which the window holds no bird.
         """
         self._configuration = configuration
-        self._window = configuration.steps if factor else window
         self.free = factor > 0.0
         """Whether birds step by their own timers: the services then refuse."""
         self.lost = False
         """Whether a free flight would need a rewind, which it does not support."""
-        self._ahead = steps_ahead(configuration, record_stages)
         self._terms = handshake(configuration, factor)
         self.run_id = run_id
         self.epoch = epoch
@@ -96,16 +94,20 @@ class Timekeeper:
         """How many messages changed nothing, by the reason."""
         birds = map(bird_name, range(1, configuration.birds + 1))
         self._nodes = Attendance(birds, record)
-        self._leave = 0  # the furthest step ever granted
-        self._pause = Pause()
+        self._window = Window(
+            configuration.steps if factor else window, steps_ahead(configuration, record_stages)
+        )
+        self.pausing = self._window.pause
+        """Where the run pauses on request."""
         self._stopping = False  # stop once all nodes have reported
         self._perturbation = 0
-        self._first: int | None = None  # the step that this clock began at
+        self.began: int | None = None
+        """The step that the flock was at when all nodes had reported to this clock."""
         self._begin_epoch()
 
     def _begin_epoch(self) -> None:
         self._nodes.begin_epoch()
-        self._granted = 0
+        self._window.granted = 0
         self._told = -1  # the last step whose time was published, or that is on disk
         self._checkpoint = ABSENT  # the last step on disk when the epoch began
 
@@ -120,7 +122,7 @@ class Timekeeper:
     @property
     def grant(self) -> Grant:
         """The last grant."""
-        return self._grant(self._granted)
+        return self._grant(self._window.granted)
 
     @property
     def release(self) -> Grant:
@@ -150,31 +152,21 @@ class Timekeeper:
     @property
     def paused(self) -> bool:
         """Whether the flock has reached the step at which it pauses."""
-        return self._pause.at is not None and self.step >= self.pauses_at
+        return self.pausing.at is not None and self.step >= self.pauses_at
 
     @property
     def pauses_at(self) -> int:
         """The step that the flock pauses at; the last step if no pause is set."""
-        return self.end if self._pause.at is None else min(self._pause.at, self.end)
-
-    @property
-    def steps_asked(self) -> int:
-        """Steps to fly from where the run begins or continues, before a pause; 0: none."""
-        return self._pause.steps
+        return self.end if self.pausing.at is None else min(self.pausing.at, self.end)
 
     @property
     def leave_known(self) -> bool:
         """Whether the extent of the grants is known: once all nodes have been present."""
-        return self._first is not None
-
-    @property
-    def lag(self) -> int:
-        """Steps that the flock is ahead of the last step on disk; 0 without a recorder."""
-        return max(0, self.step - max(self.saved, 0)) if self._nodes.recorded else 0
+        return self.began is not None
 
     @property
     def saved(self) -> int:
-        """The last step on disk; -1 or less for none."""
+        """The last step on disk, -1 or less for none; without a recorder, the step reached."""
         return self._nodes.saved
 
     @property
@@ -185,7 +177,7 @@ class Timekeeper:
     @property
     def waiting_for(self) -> list[str]:
         """The nodes that must move before the run can continue; none in a pause."""
-        return [] if self.paused else self._nodes.waiting_for(self._granted)
+        return [] if self.paused else self._nodes.waiting_for(self._window.granted)
 
     def receive(self, progress: Progress) -> list[Message]:
         """Take a progress report. One of another run, or an old one, has no effect."""
@@ -198,7 +190,7 @@ class Timekeeper:
         came_back = self._nodes.is_new(who, incarnation)
         if out_of_reach(progress.epoch, self.epoch):
             later = 0 if came_back else -1  # the node comes back to our epoch by itself
-        ends = self.free and self._granted > 0 and (came_back or later > 0)
+        ends = self.free and self._window.granted > 0 and (came_back or later > 0)
         if ends and self._nodes.doubts(progress):
             return self._ignore(REPEATED)
         self._nodes.know(who, incarnation)
@@ -215,20 +207,19 @@ class Timekeeper:
         self.moves += 1
         if first:
             self._told = self._checkpoint = progress.step
-            self._granted = max(0, progress.step)
-            self._leave = max(self._leave, self._granted)
+            self._window.begin(max(0, progress.step))
         if not self.begun:
             return []
-        if self._nodes.furthest > self._granted:
+        if self._nodes.furthest > self._window.granted:
             return self.rewind()  # granted by another clock, in an epoch of the same number
-        self._first = self.step if self._first is None else self._first
+        self.began = self.step if self.began is None else self.began
         self.rewinds.go_on_from(self.step)
-        self._pause.begin(self._granted)
+        self.pausing.begin(self._window.granted)
         return [*self._times(), *(self.stop() if self._stopping else self._grants())]
 
     def rewind(self) -> list[Message]:
         """Rewind all birds to the last step on disk, under a new epoch."""
-        self.lost = self.free and self._granted > 0
+        self.lost = self.free and self._window.granted > 0
         self.rewinds.rewind(self.step if self.begun else 0)
         self.epoch = following(self.epoch)
         self.moves += 1
@@ -237,16 +228,16 @@ class Timekeeper:
 
     def pause(self) -> None:
         """Pause at the furthest step granted; if none was granted, at the last step on disk."""
-        self._pause.ask(self._leave, self.leave_known)
+        self.pausing.ask(self._window.furthest, self.leave_known)
 
     def resume(self) -> list[Grant]:
         """Continue after a pause."""
-        self._pause.end()
+        self.pausing.end()
         return self._grants() if self.begun else []
 
     def take_steps(self, count: int) -> list[Grant]:
         """Grant `count` more steps, and then pause."""
-        self._pause.take_steps(count, self._leave, self.leave_known)
+        self.pausing.take_steps(count, self._window.furthest, self.leave_known)
         return self._grants() if self.begun else []
 
     def perturb(
@@ -266,7 +257,7 @@ class Timekeeper:
             raise FlockError("position = 0 and speed = 0 push nobody: give one of them")
         if not self.begun:
             raise FlockError("the flock is not flying yet, or again: ask once more when it is")
-        step = step_of_push(step, self._granted, self.end)
+        step = step_of_push(step, self._window.granted, self.end)
         # The number of the epoch that it begins distinguishes it from pushes of earlier clocks.
         push = Push(self.run_id, step, position, speed, following(self.epoch), bird, member)
         for one in push.each(configuration.members):
@@ -276,17 +267,12 @@ class Timekeeper:
 
     def stop(self) -> list[Message]:
         """End the run at the last granted step; during a rewind, where it would continue."""
-        self._pause.at = None
+        self.pausing.at = None
         self._stopping = not self.begun
         if self._stopping:
             return []
-        self.end = self._granted
+        self.end = self._window.granted
         return [self.grant]
-
-    @property
-    def distance(self) -> int:
-        """Number of steps that the flock has flown since this clock began."""
-        return max(0, self.step - (self._first or 0))
 
     def _ignore(self, reason: str) -> list[Message]:
         self.ignored_for[reason] += 1
@@ -300,16 +286,8 @@ class Timekeeper:
         return [Time.at(self._configuration.stamp(step)) for step in steps if step % every == 0]
 
     def _grants(self) -> list[Grant]:
-        limit = min(self.step + self._window, self.end)
-        if self._nodes.recorded:
-            limit = min(limit, max(self.saved, 0) + self._ahead)
-        if self._pause.at is not None:
-            limit = min(limit, self._pause.at)
-        if limit <= self._granted:
-            return []
-        self._granted = limit
-        self._leave = max(self._leave, limit)
-        return [self.grant]
+        saved = self.saved if self._nodes.recorded else None
+        return [self.grant] if self._window.extend(self.step, saved, self.end) else []
 
     def _grant(self, step: int) -> Grant:
         return Grant(

@@ -27,23 +27,12 @@ from flock_sim.messages.rejection import (
     STALE,
     STRANGE,
 )
-from flock_sim.messages.stage_layout import stage_numbers, stage_words
 from flock_sim.messages.topics import bird_name
-from flock_sim.messages.types import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
-from flock_sim.physics import formation
+from flock_sim.messages.types import Ages, Checkpoint, Grant, Stage, Wing
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.physics.scaling import Scales
-from flock_sim.protocol.bird_kernel import (
-    DRAG,
-    POSITION,
-    SPEED,
-    WORK_ROWS,
-    begin,
-    constants,
-    feel_and_move,
-)
 from flock_sim.protocol.latest_values import LatestValues
+from flock_sim.protocol.motion import Motion
 from flock_sim.protocol.neighbours import Listener, Neighbourhood
 from flock_sim.protocol.session import Channel, Outgoing, Session
 
@@ -80,8 +69,7 @@ class FreeBird(Listener):
         self.bird = bird
         self.ignored_for = Counter()
         self.ignored = 0
-        self.step = 0
-        """The next step to take; last step + 1 at the end."""
+        self._step = 0
         self.late = 0
         """Number of steps that were taken when the next one was already due."""
         self.lateness = 0.0
@@ -96,7 +84,6 @@ class FreeBird(Listener):
         self._begun: float | None = None  # when step 0 was taken
         self._reported = -math.inf
         self._said: Outgoing | None = None  # the last state sent
-        self._own = constants(bird, configuration)
         self._around = Neighbourhood(bird, configuration)
         self._latest = LatestValues(bird, self._around.birds, configuration)
         self._age_max = np.zeros(len(self._around.birds))
@@ -104,32 +91,19 @@ class FreeBird(Listener):
         for push in configuration.pushes:
             if push.bird == bird:
                 self._pushes.setdefault(push.step, []).append(push)
-        members = configuration.members
-        self._mine = np.zeros((2, stage_words(members)))
-        self._work = np.zeros((WORK_ROWS, members))
-        self._work[POSITION] = formation.start_position(bird, configuration.birds)
-        self._work[SPEED] = Scales.of(configuration).cruise_speed
+        self._motion = Motion(bird, configuration, self._around)
+        self._motion.start()
         self._push()
-        begin(self._own, self._mine, self._work)
 
     @property
-    def run_id(self) -> int:
-        """The run of this bird; 0 if it is not known yet."""
-        return self._session.run_id
-
-    @property
-    def _epoch(self) -> int:
-        return self._session.epoch
+    def step(self) -> int:
+        """The next step to take; last step + 1 at the end."""
+        return self._step
 
     @property
     def joined(self) -> bool:
         """Whether the run and the epoch are known."""
-        return self._epoch != NEVER
-
-    @property
-    def released(self) -> bool:
-        """Whether the clock has ended the run and no node needs this bird any more."""
-        return self._session.released(self.step, self._end)
+        return self._session.epoch != NEVER
 
     @property
     def in_flight(self) -> bool:
@@ -157,7 +131,7 @@ class FreeBird(Listener):
     @property
     def waiting_for(self) -> str:
         """What the bird needs to continue, as text."""
-        if self._epoch == NEVER:
+        if self._session.epoch == NEVER:
             return "the clock's first grant"
         if unknown := self._around.unknown:
             return f"the wing of {', '.join(map(bird_name, unknown))}"
@@ -215,13 +189,13 @@ class FreeBird(Listener):
         self._reached = self.step
         if last or self.step + 1 >= self._granted or now >= self._reported + REPORT_EVERY:
             self._reported = now
-            out.append(self._progress())
+            out.append(self._progress(self._reached))
         if not last:
             for stage in range(1, STAGES):
                 self._feel(stage)
-        self.step += 1
-        if not last and self._push():
-            begin(self._own, self._mine, self._work)
+        self._step += 1
+        if not last:
+            self._push()
         return out
 
     def report(self) -> list[Outgoing]:
@@ -229,16 +203,16 @@ class FreeBird(Listener):
 
         The state is repeated since a neighbour may not have known the run when it first arrived.
         """
-        if self._epoch == NEVER:
+        if self._session.epoch == NEVER:
             return []
         self._session.hear_nothing()
-        return [self._progress(), *([self._said] if self._said else [])]
+        return [self._progress(self._reached), *([self._said] if self._said else [])]
 
     def _join(self, grant: Grant, first: bool) -> list[Outgoing]:
         """Join the grant's epoch: return a progress report and the state."""
         self._reached = -1
         self._extend(grant)
-        out = [self._progress()]
+        out = [self._progress(self._reached)]
         if first:
             ratio = self._configuration.span_ratio[self.bird - 1]
             out.insert(0, (Channel.WING, Wing(self.run_id, self.bird, ratio).encode()))
@@ -258,20 +232,20 @@ class FreeBird(Listener):
         A bird that has a grant before that has joined a flight that began without it: no report.
         """
         ready = self._around.known and self._latest.complete
-        if self._reached >= 0 or self._epoch == NEVER or self._granted > 0 or not ready:
+        if self._reached >= 0 or self._session.epoch == NEVER or self._granted > 0 or not ready:
             return []
         self._feel(0)  # the first call loads the compiled kernel; `tick` repeats it
         self._reached = 0
-        return [self._progress()]
+        return [self._progress(self._reached)]
 
     def _refused(self, message: Stage) -> str:
         """Return why a message of a neighbour is ignored, or ""."""
         members = self._configuration.members
         values = message.position, message.speed, message.circulation
-        if message.run_id != self.run_id or self._epoch == NEVER:
+        if message.run_id != self.run_id or self._session.epoch == NEVER:
             return FOREIGN
-        if message.epoch != self._epoch:
-            return STALE if ahead(message.epoch, self._epoch) < 0 else REPEATED
+        if message.epoch != self._session.epoch:
+            return STALE if ahead(message.epoch, self._session.epoch) < 0 else REPEATED
         if message.bird not in self.neighbours:
             return STRANGE
         if any(len(numbers) != members for numbers in values):
@@ -284,52 +258,34 @@ class FreeBird(Listener):
 
     def _feel(self, stage: int) -> None:
         """Compute the drag at a stage of this step, and the values at the next stage."""
-        feel_and_move(
-            STAGES * self.step + stage,
-            self._configuration.dt,
-            self._own,
-            self._around.geometry,
-            self._latest.known(self.step, stage),
-            self._mine,
-            self._work,
-        )
+        heard = self._latest.known(self.step, stage)
+        self._motion.compute(STAGES * self.step + stage, heard)
 
-    def _push(self) -> bool:
-        """Apply the perturbations at the beginning of this step; return whether it has any."""
-        pushes = self._pushes.get(self.step, [])
-        for push in pushes:
-            push.push(self._work[POSITION], self._work[SPEED])
-        return bool(pushes)
+    def _push(self) -> None:
+        """Apply the perturbations at the beginning of this step."""
+        if pushes := self._pushes.get(self.step):
+            self._motion.push(pushes)
 
     def _say(self) -> Outgoing:
         """Return the message with the state at the beginning of this step."""
-        numbers = stage_numbers(self._mine[0], self._configuration.members)
-        message = Stage(self.run_id, self.step, self._epoch, self.bird, 0, *numbers)
+        numbers = self._motion.numbers(STAGES * self.step)
+        message = Stage(self.run_id, self.step, self._session.epoch, self.bird, 0, *numbers)
         self._said = Channel.STAGE, message.encode()
         return self._said
 
     def _record(self, age: FloatArray) -> list[Outgoing]:
         """Return the messages to the recorder for this step."""
-        configuration, latest = self._configuration, self._latest
-        numbers = stage_numbers(self._mine[0], configuration.members)
-        mine = self.run_id, self._epoch
-        state = State.at(configuration, self.step, *numbers, self._work[DRAG], *mine)
+        state = self._motion.state(self.step, self.run_id, self._session.epoch)
         ages = Ages(
             self.run_id,
             self.step,
-            self._epoch,
+            self._session.epoch,
             self.bird,
             age,
             self._age_max,
-            (self.step - latest.steps).astype(np.float64),
+            (self.step - self._latest.steps).astype(np.float64),
             self.late,
             self.lateness,
         )
         self._age_max = np.zeros_like(age)
         return [(Channel.AGES, ages.encode()), (Channel.STATE, state.encode())]
-
-    def _progress(self) -> Outgoing:
-        """Return the report of the step reached; -1: present, but not yet at the start."""
-        name, incarnation = bird_name(self.bird), self._session.incarnation
-        progress = Progress(self.run_id, self._reached, self._epoch, name, incarnation)
-        return Channel.PROGRESS, progress.encode()

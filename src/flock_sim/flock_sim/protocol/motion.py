@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of one bird in lockstep: its own values at each stage, and its messages about them."""
+"""The motion of one bird: its own values at each stage, and its messages about them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.messages.stage_layout import stage_bytes, stage_numbers, stage_words
 from flock_sim.messages.types import Checkpoint, Memory, State
 from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.scaling import Scales
 from flock_sim.protocol.bird_kernel import (
@@ -31,7 +32,52 @@ from flock_sim.protocol.stage_words import OWN, SENT, TICK, say
 
 
 class Motion:
-    """The values of one bird, which the words of its inbox point to."""
+    """The values of one bird."""
+
+    def __init__(self, bird: int, configuration: FlockConfiguration, around: Neighbourhood) -> None:
+        """Take the coefficients of `bird`."""
+        members = configuration.members
+        self.bird = bird
+        self._configuration = configuration
+        self._geometry = around.geometry
+        self._own = constants(bird, configuration)
+        self._mine = np.zeros((2, stage_words(members)))
+        self._work = np.zeros((WORK_ROWS, members))
+        for values in self._mine:
+            stage_bytes(values, members)
+
+    def start(self) -> None:
+        """Take the values of the start of the flight."""
+        self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
+        self._work[SPEED] = Scales.of(self._configuration).cruise_speed
+        begin(self._own, self._mine, self._work)
+
+    def push(self, pushes: Iterable[Perturbation]) -> None:
+        """Apply perturbations at the beginning of a step."""
+        for push in pushes:
+            push.push(self._work[POSITION], self._work[SPEED])
+        begin(self._own, self._mine, self._work)
+
+    def compute(self, tick: int, heard: FloatArray) -> None:
+        """Compute the drag at `tick`, and the values at the next tick.
+
+        `heard` has the messages of the neighbours, as in `feel_and_move`.
+        """
+        dt = self._configuration.dt
+        feel_and_move(tick, dt, self._own, self._geometry, heard, self._mine, self._work)
+
+    def numbers(self, tick: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, speed and circulation at `tick`, each of shape (members,)."""
+        return stage_numbers(self._mine[tick & 1], self._configuration.members)
+
+    def state(self, step: int, run_id: int, epoch: int) -> State:
+        """Return the state at the beginning of `step`, once its drag is computed."""
+        numbers, drag = self.numbers(STAGES * step), self._work[DRAG]
+        return State.at(self._configuration, step, *numbers, drag, run_id, epoch)
+
+
+class LockstepMotion(Motion):
+    """The values of one bird in lockstep, which the words of its inbox point to."""
 
     def __init__(
         self,
@@ -42,18 +88,11 @@ class Motion:
         control: Control | None = None,
     ) -> None:
         """Take the coefficients of `bird`. `control` gives a force besides thrust and drag."""
-        members = configuration.members
-        self.bird = bird
-        self._configuration = configuration
+        super().__init__(bird, configuration, around)
         self._inbox = inbox
-        self._geometry = around.geometry
-        self._own = constants(bird, configuration)
-        self._mine, self._said = np.zeros((2, 2, stage_words(members)))
-        self._work = np.zeros((WORK_ROWS, members))
-        self.outbox = [stage_bytes(values, members) for values in self._said]
+        self._said = np.zeros_like(self._mine)
+        self.outbox = [stage_bytes(values, configuration.members) for values in self._said]
         """Its last two stage messages: one for each side of the inbox."""
-        for values in self._mine:
-            stage_bytes(values, members)
         self._steering = (
             Steering(bird, control, self._own, around.birds, configuration) if control else None
         )
@@ -71,33 +110,25 @@ class Motion:
 
     def begin(self, checkpoint: Checkpoint) -> None:
         """Take the values of a checkpoint; an empty one is the start of the flight."""
-        members = self._configuration.members
         if len(checkpoint.position):
+            members = self._configuration.members
             mine = slice((self.bird - 1) * members, self.bird * members)
             self._work[POSITION] = checkpoint.position[mine]
             self._work[SPEED] = checkpoint.speed[mine]
+            begin(self._own, self._mine, self._work)
         else:
-            self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
-            self._work[SPEED] = Scales.of(self._configuration).cruise_speed
-        begin(self._own, self._mine, self._work)
+            self.start()
         if self._receiver:
             self._receiver.begin(checkpoint.memory)
 
-    def push(self, pushes: Iterable[Perturbation]) -> None:
-        """Apply perturbations at the beginning of a step."""
-        for push in pushes:
-            push.push(self._work[POSITION], self._work[SPEED])
-        begin(self._own, self._mine, self._work)
-
-    def compute(self) -> None:
-        """Compute the drag at this tick, whose messages are here, and the values at the next."""
+    def advance(self) -> None:
+        """Compute the values at the next tick from the messages of this one, which are here."""
         tick, heard = self._inbox.word[TICK], self._inbox.heard
         if self._receiver is not None:
             heard = self._receiver.listen(tick, self._geometry, heard[self._inbox.side], self._mine)
         if self._steering is not None:
             self._steering.steer(tick, heard, self._mine)
-        dt = self._configuration.dt
-        feel_and_move(tick, dt, self._own, self._geometry, heard, self._mine, self._work)
+        self.compute(tick, heard)
 
     def say(self) -> bytes:
         """Return the message with the values at this tick, which has an exchange."""
@@ -110,16 +141,8 @@ class Motion:
         sent, side = self._inbox.word[SENT], self._inbox.side
         return [bytes(self.outbox[side]) for side in (1 - side, side)[max(0, 2 - sent) :]]
 
-    def state(self, run_id: int, epoch: int) -> State:
-        """Return the state at this tick, the beginning of a step."""
-        tick = self._inbox.word[TICK]
-        numbers = stage_numbers(self._mine[tick & 1], self._configuration.members)
-        step, drag = tick // STAGES, self._work[DRAG]
-        return State.at(self._configuration, step, *numbers, drag, run_id, epoch)
-
-    def memory(self, run_id: int, epoch: int) -> Memory | None:
+    def memory(self, step: int, run_id: int, epoch: int) -> Memory | None:
         """Return what the bird remembers of its neighbours; None if its links remember nothing."""
         if self._receiver is None:
             return None
-        step = self._inbox.word[TICK] // STAGES
         return Memory(run_id, step, epoch, self.bird, self._receiver.memory.ravel())

@@ -10,11 +10,12 @@ import numpy as np
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.epochs import NEVER
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, STRANGE
-from flock_sim.messages.types import Grant, Wing
+from flock_sim.messages.topics import bird_name
+from flock_sim.messages.types import Grant, Progress, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.aerodynamics import even_part
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.protocol.session import Outgoing, Session
+from flock_sim.protocol.session import Channel, Outgoing, Session
 
 EARLY = 16
 """Most wings kept per neighbour while the own run is unknown."""
@@ -95,10 +96,28 @@ class Listener:
 
     _around: Neighbourhood
     _session: Session
+    _end: int
+    bird: int
+    """Its number, from 1."""
     ignored: int
     """Number of ignored messages."""
     ignored_for: Counter[str]
     """Number of ignored messages, by reason."""
+
+    @property
+    def run_id(self) -> int:
+        """The run of this bird; 0 if it is not known yet."""
+        return self._session.run_id
+
+    @property
+    def step(self) -> int:
+        """The current step."""
+        raise NotImplementedError
+
+    @property
+    def released(self) -> bool:
+        """Whether the clock has ended the run and no node needs this bird any more."""
+        return self._session.released(self.step, self._end)
 
     @property
     def neighbours(self) -> tuple[int, ...]:
@@ -130,3 +149,10 @@ class Listener:
     def _extend(self, grant: Grant) -> list[Outgoing]:
         """Continue the present epoch as far as the grant allows."""
         raise NotImplementedError
+
+    def _progress(self, step: int) -> Outgoing:
+        """Return the report of having reached `step`; -1: present, but not yet at the start."""
+        session = self._session
+        who, incarnation = bird_name(self.bird), session.incarnation
+        progress = Progress(session.run_id, step, session.epoch, who, incarnation)
+        return Channel.PROGRESS, progress.encode()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What users ask of a run in flight: pauses, single steps and pushes."""
+"""How far the clock lets birds fly, and what users ask of a run: pauses, steps and pushes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
@@ -42,6 +42,39 @@ class Pause:
         if self.steps or self.pending:
             self.at = granted + self.steps
             self.steps, self.pending = 0, False
+
+
+@dataclass
+class Window:
+    """How far birds may fly: `size` steps beyond the slowest, `ahead` steps beyond the disk."""
+
+    size: int
+    ahead: int
+    granted: int = 0
+    """The last step granted in this epoch."""
+    furthest: int = 0
+    """The furthest step ever granted."""
+    pause: Pause = field(default_factory=Pause)
+
+    def begin(self, step: int) -> None:
+        """Begin an epoch at the last step on disk."""
+        self.granted = step
+        self.furthest = max(self.furthest, step)
+
+    def extend(self, reached: int, saved: int | None, end: int) -> bool:
+        """Extend the grant; return whether it goes further than before.
+
+        All birds have `reached` a step; `saved` is on disk (None: nothing is recorded).
+        """
+        limit = min(reached + self.size, end)
+        if saved is not None:
+            limit = min(limit, max(saved, 0) + self.ahead)
+        if self.pause.at is not None:
+            limit = min(limit, self.pause.at)
+        if limit <= self.granted:
+            return False
+        self.begin(limit)
+        return True
 
 
 def step_of_push(step: int, granted: int, end: int) -> int:

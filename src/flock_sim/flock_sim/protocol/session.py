@@ -7,6 +7,7 @@ plausible: a node on the same ROS domain that imitates a bird is accepted.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -15,6 +16,7 @@ from flock_sim.messages.epochs import NEVER, out_of_date, out_of_reach
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, REPEATED, STALE
 from flock_sim.messages.types import Grant
+from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.free_flight import NO_WAY_BACK
 
 INCARNATIONS = 2**64
@@ -53,6 +55,11 @@ class Session:
         self._silent = False  # no message has arrived since
         self._doubted = NEVER  # the last epoch out of reach in a grant
         self._anew = 0  # grants of later epochs received in a free flight
+
+    @property
+    def now(self) -> tuple[int, int]:
+        """The current run and epoch."""
+        return self.run_id, self.epoch
 
     def refuses(self, run_id: int, epoch: int) -> str:
         """Return why a message of this run and epoch has no effect, or ""."""
@@ -166,3 +173,43 @@ class Channel(Enum):
 
 
 Outgoing = tuple[Channel, bytes]
+
+
+MOST_SILENT = 1000
+"""Most steps between two reports, however far the grant goes: it may not be the clock's."""
+
+
+class Granted:
+    """How far the clock lets a bird fly in this epoch, and when the bird reports."""
+
+    def __init__(self) -> None:
+        """Start without a grant."""
+        self.step = -1
+        """The step that the bird may begin to fly up to; -1: none."""
+        self._report_at = 0
+
+    def extend(self, step: int, at: int) -> None:
+        """Take a grant up to `step` at step `at`.
+
+        The bird reports half way, so that the next grant arrives before this one is used up.
+        """
+        self.step = step
+        self._report_at = at + max(1, min((step - at) // 2, MOST_SILENT))
+
+    def reports(self, step: int) -> bool:
+        """Whether the bird reports when it begins `step`."""
+        due = step >= self.step or step == self._report_at
+        if due and self.step - step > MOST_SILENT:
+            self._report_at = step + MOST_SILENT
+        return due
+
+    def next_event(self, tick: int, every: int, pushes: Iterable[int]) -> int:
+        """Return the tick of the next step at which the bird reports, or is held or pushed.
+
+        States are recorded at each `every` steps; `pushes` are the steps of its pushes.
+        """
+        step = -(-tick // STAGES)
+        events = [self.step, -(-step // every) * every, self._report_at]
+        ticks = [STAGES * event for event in events if event >= step]
+        # A push changes the values that the stage before it computes, before they are sent.
+        return min(ticks + [STAGES * event - 1 for event in pushes if event >= step])
