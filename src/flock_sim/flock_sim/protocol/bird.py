@@ -181,8 +181,10 @@ class BirdProtocol(Listener):
 
     def _plan(self) -> None:
         """Set the tick from which on this object has more to do than to exchange messages."""
+        if not self.only_exchanges:
+            return
         end = 0
-        if self.only_exchanges and self.in_flight and not (self.released or self._held):
+        if self.in_flight and not (self.released or self._held):
             every = self._configuration.record_every
             end = self._granted.next_event(self.tick, every, self._pushes)
         self._inbox.word[END] = end
@@ -267,7 +269,8 @@ class BirdProtocol(Listener):
                 self._push(step + 1)
             if inbox.turn():
                 out.append(self._stage())
-        self._plan()
+        if self._held or not self.on_fast_path:
+            self._plan()
         return out
 
     def _reports(self, step: int) -> list[Outgoing]:
