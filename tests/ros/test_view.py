@@ -92,12 +92,12 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
     stamp = told.header.stamp
     snapshot = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2).snapshot
     assert told.transform.translation.x == pytest.approx(snapshot.origin * snapshot.metre)
-    assert "no clock tells what is flown" in job.stderr
+    assert "no clock sends the configuration" in job.stderr
     assert "3 birds, member 2 of 2" in job.stderr
     too_many = terminal.run("view", "--member", 3, "--timeout", 60)
     assert (too_many.status, too_many.error) == (
         2,
-        "error: --member 3: must be in 1..2, as the flock has them",
+        "error: --member 3: must be in 1..2, the members of the flock",
     )
     for each in (job, player):
         each.interrupt()
@@ -202,7 +202,7 @@ def test_a_silent_domain_is_named(terminal: Terminal) -> None:
     done = terminal.run("view", "--timeout", 0.1)
     assert done.status == 2
     domain = terminal.environment["ROS_DOMAIN_ID"]
-    assert f"no flock heard within 0.1 s on ROS domain {domain}" in done.error
+    assert f"no flock found within 0.1 s on ROS domain {domain}" in done.error
 
 
 def test_layouts_are_of_the_topics_that_are_published() -> None:

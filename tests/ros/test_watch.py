@@ -48,7 +48,7 @@ def test_a_silent_domain_is_named(terminal: Terminal) -> None:
     done = terminal.run("watch", "--once", "--timeout", 0.1)
     assert done.status == 1
     domain = terminal.environment["ROS_DOMAIN_ID"]
-    assert f"no flock heard within 0.1 s on ROS domain {domain}" in done.error
+    assert f"no flock found within 0.1 s on ROS domain {domain}" in done.error
 
 
 def test_a_live_table_needs_a_terminal(terminal: Terminal) -> None:

@@ -41,7 +41,7 @@ def test_a_name_without_a_slash_is_expanded_as_ros_does(tmp_path: Path, play: Pl
         assert play.heard == [("/words", data) for *_, data in said]
     assert "did you mean '/words'" in play.error(bag, "--topics", "word")
     private = write_bag(tmp_path / "private", words(1, channel=Channel("~/words")))
-    assert "its name is none that ROS 2 allows" in play.error(private)
+    assert "ROS 2 does not allow its name" in play.error(private)
 
 
 @pytest.mark.parametrize("chunk", [0, 1 << 20])
@@ -107,7 +107,7 @@ def test_a_queue_that_is_too_deep_is_cut(tmp_path: Path, play: Played, depth: in
     assert play.heard == heard(*words(1, channel=deep))
     assert play.selection is not None
     assert play.selection.topics["/deep"].qos.depth == DEEPEST
-    assert play.notes == [f"note: /deep: its queue of {depth} messages is cut to {DEEPEST}"]
+    assert play.notes == [f"note: /deep: its queue depth of {depth} is reduced to {DEEPEST}"]
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_type_that_is_another_than_the_installed_one_is_left_out(
     bag = write_bag(tmp_path / "bag", [*words(1, channel=old), *words(1)])
     facts = play(bag)
     assert play.heard == heard(*words(1))
-    assert "another definition here than in the bag" in facts["skipped"]["/old"]
+    assert "is installed with another definition than in the bag" in facts["skipped"]["/old"]
 
 
 def test_messages_that_cannot_be_published_are_left_out_and_counted(

@@ -119,7 +119,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, play: Played) -> None
     bag = write_bag(tmp_path / "bag", words(1), words(2), listed=listed)
     assert play(bag)["messages"] == 2
     assert play.notes == [
-        f"note: {bag} is not complete: bag_2.mcap is not there; what is whole of it is played"
+        f"note: {bag} is not complete: bag_2.mcap is not there; its intact part is played"
     ]
     with BagReader(bag) as opened:
         assert [stamp for _, stamp, _ in opened.messages()] == [2 * SECOND, SECOND]

@@ -90,7 +90,7 @@ def test_a_flight_that_ends_earlier_is_not_equal_and_it_says_so(
     assert told["first_difference"]["step"] == 20
     assert told["first_difference"]["bird"] == 1
     assert run_tool(tool, runs) == 1
-    assert "lacks 55 state messages, it ends at step 18" in capsys.readouterr().out
+    assert "lacks 55 state messages, its last complete step is 18" in capsys.readouterr().out
 
 
 def test_a_torn_bag_is_compared_as_far_as_it_is_whole(

@@ -79,7 +79,7 @@ def test_what_parts_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None
 def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) -> None:
     # Below lambda H_0 = 1 a bird alone has no cruising speed, and here no neighbour saves enough.
     small = [f"--span-ratio={bird}=0.55" for bird in (1, 2)]
-    assert "at no speed is the thrust of all their drag" in text_of(
+    assert "at no speed does the thrust balance the drag" in text_of(
         tool, capsys, "--birds", "2", *small
     )
     found = json_of(tool, capsys, "--birds", "2", *small)

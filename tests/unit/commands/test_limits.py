@@ -95,8 +95,8 @@ def test_an_interval_without_a_limit_is_told_plainly(capsys: pytest.CaptureFixtu
 def test_a_flock_that_never_flies_is_told_plainly(capsys: pytest.CaptureFixture[str]) -> None:
     flock = ("--birds", "5", "--span-ratio", "2=0.8", "--bird", "1,5")
     text = text_of(tool, capsys, *flock)
-    assert "none: no span ratio of this bird was found that does" in text
-    assert "as given the flock can't fly in formation" in text
+    assert "none: no such span ratio of this bird was found" in text
+    assert "the flock as given can't fly in formation" in text
     result = json_of(tool, capsys, *flock)
     assert [limit["never"] for limit in result["limits"]] == [True, True]
     assert not result["as_given"]
@@ -140,7 +140,9 @@ def test_the_diagram_is_drawn(
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "limits need a formation" in error_of(tool, capsys, "--birds", "1")
+    assert "must be 2 or more, since limits need a formation" in error_of(
+        tool, capsys, "--birds", "1"
+    )
     assert "give one span ratio" in error_of(tool, capsys, "--span-ratio", "3=0.9,1.0")
     assert "--between 1.5,0.5" in error_of(tool, capsys, "--between", "1.5,0.5")
     assert "did you mean 'exact'" in error_of(tool, capsys, "--method", "exakt")

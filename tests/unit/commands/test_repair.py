@@ -88,7 +88,7 @@ def test_a_single_file_is_repaired_beside_its_bag(
     (copy,) = run.glob("*.mcap")
     text = text_of(tool, capsys, str(copy))
     assert text.splitlines()[-1] == (
-        f"{len(messages(flight))} messages are whole, and in {tmp_path / 'torn-repaired'}"
+        f"{len(messages(flight))} intact messages are in {tmp_path / 'torn-repaired'}"
     )
 
 
@@ -111,7 +111,7 @@ def test_a_bag_is_kept_up_to_a_damaged_chunk(
         damage = examine(hurt)
     assert damage.broken is not None
     if damage.messages == 0:
-        assert "no message of it is whole" in error_of(tool, capsys, str(run))
+        assert "it has no intact message" in error_of(tool, capsys, str(run))
     else:
         assert "is damaged at byte" in text_of(tool, capsys, str(run))
 

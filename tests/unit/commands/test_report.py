@@ -344,7 +344,10 @@ def test_whatever_is_reported_fits_in_one_file(flocks: list[tuple[int, int]]) ->
     [
         ([], "RUN"),
         (["nowhere"], "nowhere"),
-        (["RUN", "OTHER"], "has 2 birds and RUN has 5: runs in one report must be of as many"),
+        (
+            ["RUN", "OTHER"],
+            "has 2 birds and RUN has 5: runs in one report must have the same number",
+        ),
         (["EMPTY"], "no recorded step is complete"),
         (["others"], "not a bag of Flock's"),
         (["sqlite"], "ros2 bag convert makes MCAP of it"),

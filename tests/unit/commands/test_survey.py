@@ -83,7 +83,9 @@ def test_span_ratios_of_a_configuration_file_are_refused(
 ) -> None:
     path = tmp_path / "flock.yaml"
     path.write_text('/**:\n  ros__parameters:\n    birds: 5\n    span_ratios: ["4=1.05"]\n')
-    assert "leave it out" in error_of(tool, capsys, "--config", str(path))
+    assert "survey sets all at random; leave the key out" in error_of(
+        tool, capsys, "--config", str(path)
+    )
 
 
 def test_flocks_that_are_all_alike_all_fly() -> None:

@@ -390,7 +390,7 @@ def test_what_is_flown_is_not_flown_again_and_what_is_another_flight_is_refused(
     swept, directory = asked({"span_ratio[2]": [0.95, 1.0]}), SweepDirectory(tmp_path)
     flown(swept, tmp_path)
     assert fly_all(swept.flights(5), directory, ["--no-such-option"]) == 0
-    with pytest.raises(FlockError, match="is not what flight 1 of this sweep flies"):
+    with pytest.raises(FlockError, match="is not the bag of flight 1 of this sweep"):
         fly_all(asked({"span_ratio[2]": [0.95, 1.01]}).flights(5), directory, [])
 
 

@@ -28,9 +28,9 @@ MOST_WINGS = 4
 """Largest number of different wings that are listed."""
 
 DESCRIPTION = """\
-Compare what was flown in two runs: every field of every state message, the wings, the
-configuration. Who flew it, and how (run ids, grants, clock, diagnostics), is left aside; so is what
-it was perturbed by in flight, which its states show.
+Compare two recorded flights: every field of every state message, the wings and the configuration.
+Data on how the flights were operated (run ids, grants, clock, diagnostics) are not compared.
+Perturbations in flight are not compared either: the states show their effect.
 Exit status: 0 equal, 1 not equal, 2 bad input."""
 
 EXAMPLES = """\
@@ -47,7 +47,7 @@ def tool(arguments: Sequence[str]) -> int:
         "--tolerance",
         metavar="X",
         help="largest absolute difference, in dimensionless units, of position, speed, circulation "
-        "and interaction drag that counts as equal (none: bit for bit)",
+        "and interaction drag that counts as equal (not given: bit for bit)",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
@@ -59,7 +59,7 @@ def tool(arguments: Sequence[str]) -> int:
     with Run(options.runs[0]) as first, Run(options.runs[1]) as second:
         for run in (first, second):
             if run.missing:
-                note(f"note: {run.missing}; what is whole of it is compared")
+                note(f"note: {run.missing}; its intact part is compared")
             if run.real_time_factor:
                 note(f"note: {run.path} was flown freely: no other flight is equal to it")
         with _progress(first) as show:
@@ -83,9 +83,9 @@ def told(result: Comparison, first: Run, second: Run, tolerance: float | None) -
     shown = result.wings[:MOST_WINGS]
     lines += [f"  wing of bird {wing.bird}: {_values(wing)}" for wing in shown]
     if len(shown) < len(result.wings):
-        lines.append(f"  ... and {len(result.wings) - len(shown)} wings more")
+        lines.append(f"  ... and {len(result.wings) - len(shown)} more wings")
     if result.state is not None:
-        lines.append(f"  states part at {_place(result.state)}: {_state(result.state)}")
+        lines.append(f"  the first difference is at {_place(result.state)}: {_state(result.state)}")
     if result.different:
         gaps = ", ".join(f"{name} {gap:.3g}" for name, gap in result.max_difference.items())
         lines.append(f"  {result.different} of {result.messages} state messages differ")
@@ -120,9 +120,9 @@ def _values(difference: Difference) -> str:
 
 def _end(run: Run) -> str:
     try:
-        return f"it ends at step {run.at().step}"
+        return f"its last complete step is {run.at().step}"
     except FlockError:
-        return "no step of it is complete"
+        return "it has no complete step"
 
 
 def _progress(run: Run) -> AbstractContextManager[Callable[[int], None]]:

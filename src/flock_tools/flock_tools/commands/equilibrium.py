@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from flock_tools.runs.assessment import Assessment
 
 DESCRIPTION = """\
-Say whether a flock can fly in formation, and if so, how and how firmly, by solving for its steady
-state; if not, which gap opens and who flies on with whom. Exact for nearest-neighbour coupling.
+Solve for the steady state of a flock. If it exists, the flock can fly in formation, and the tool
+prints speed, spacings, drag saved and stability; if not, it prints which gap opens and which birds
+stay together. The solution is exact for nearest-neighbour coupling.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
---dt, --t-max, --record-every and --perturb have no say in it; links have to be exact.
-Exit status: 0, whatever the answer is; 2 bad input."""
+--dt, --t-max, --record-every and --perturb have no effect; all links have to be exact.
+Exit status: 0, whether the flock can fly in formation or not; 2 bad input."""
 
 EXAMPLES = """\
   ./flock equilibrium --birds 13
@@ -88,7 +89,7 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
 
     state, birds = assessment.state, assessment.configuration.birds
     leading = assessment.leading_eigenvalue[m]
-    stable = {True: "stable", False: "unstable", None: "too many birds to tell whether stable"}[
+    stable = {True: "stable", False: "unstable", None: "stability not computed: too many birds"}[
         assessment.stable[m]
     ]
     metres = state.speed[m] * assessment.configuration.min_drag_speed
@@ -112,7 +113,7 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
     if leading.real == 0.0:
         return [*lines, "  leading eigenvalue   0: a disturbance neither decays nor grows"]
     what = "decays" if leading.real < 0.0 else "grows"
-    swing = f", swings once in {2.0 * math.pi / abs(leading.imag):.4g}" if leading.imag else ""
+    swing = f", with a period of {2.0 * math.pi / abs(leading.imag):.4g}" if leading.imag else ""
     return [
         *lines,
         f"  leading eigenvalue   {leading.real:.5e}"
@@ -124,9 +125,9 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
 def _none(assessment: Assessment, m: int) -> list[str]:
     state, groups, gap = assessment.state, assessment.parts[m], assessment.weakest_gap[m]
     if not gap:
-        what = "no formation: at no speed is the thrust of all their drag"
+        what = "no formation: at no speed does the thrust balance the drag"
         if assessment.configuration.birds == 1:
-            what = "can't fly: at no speed is its thrust its drag"
+            what = "can't fly: at no speed does its thrust balance its drag"
         return [f"  verdict              {what}"]
     from flock_sim.analysis.summary import row
 

@@ -13,9 +13,9 @@ LOW, HIGH = 0.5, 1.5
 """Range of span ratios in which the limits of figure 4 are searched."""
 
 DESCRIPTION = """\
-Compute and draw the paper's figures: 2, what neighbours near and far contribute; 3, the steady
+Compute and draw the paper's figures: 2, the contributions of near and far neighbours; 3, the steady
 states of equal birds; 4, the span ratios of one bird that keep the formation; 5, steady states with
-one bird of another span. Each as PNG and SVG, and its data as CSV."""
+one bird of another span. Each figure is written as PNG and SVG, and its data as CSV."""
 
 EXAMPLES = """\
   ./flock figures                     writes docs/figures/figure_2.png and all the others

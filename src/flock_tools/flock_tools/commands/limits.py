@@ -70,14 +70,14 @@ DESCRIPTION = """\
 Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
 in formation, and the gap that opens at each end.
 exact: by the existence of the steady state.
-integrate: the paper's protocol: sigma_U < 1e-4 at --t-max, flown with steps of --dt from the V of
-the homogeneous flock; bisection to --resolution.
-fly: the same protocol flown over ROS 2 by the birds' nodes: a grid of --points span ratios for each
-modified bird, all of them members of one flight; an end lies half way between two of them.
-Birds are those of the left wing where the flock is its own mirror image; --dt and --t-max are for
-integrate and fly; --perturb has no say; links have to be exact.
-An end that is not inside the searched interval is told so, and null in JSON.
-Exit status: 0, whatever the answer is; 1 a flight that failed; 2 bad input."""
+integrate: by the paper's protocol: the flight starts from the V of the homogeneous flock, has steps
+of --dt, and the flock holds together if sigma_U < 1e-4 at --t-max. Bisection to --resolution.
+fly: by the same protocol, flown over ROS 2 by the birds' nodes: a grid of --points span ratios for
+each modified bird, all of them members of one flight. An end lies half way between two of them.
+If the flock is its own mirror image, only birds of the left wing are modified. --dt and --t-max are
+for integrate and fly; --perturb has no effect; all links have to be exact.
+An end outside the searched interval is printed as "below" or "above" it, and is null in JSON.
+Exit status: 0, whether limits exist or not; 1 a flight failed; 2 bad input."""
 
 EXAMPLES = """\
   ./flock limits --birds 13 --output limits.png
@@ -124,38 +124,44 @@ def _parser() -> Parser:
     parser = Parser("limits", DESCRIPTION, EXAMPLES)
     add_flock_options(parser)
     limits = parser.add_argument_group("limits")
-    limits.add_argument("--method", metavar="|".join(METHODS), default="exact", help="(exact)")
     limits.add_argument(
-        "--bird", metavar="I[,I...]", help="birds that are modified (the left wing, or all)"
+        "--method", metavar="|".join(METHODS), default="exact", help="how limits are found (exact)"
+    )
+    limits.add_argument(
+        "--bird",
+        metavar="I[,I...]",
+        help="birds that are modified, each in turn (the left wing, or all)",
     )
     limits.add_argument(
         "--between",
         metavar="LO,HI",
         default=BETWEEN,
-        help=f"span ratios that are searched ({BETWEEN})",
+        help=f"interval of span ratios that is searched ({BETWEEN})",
     )
     limits.add_argument(
         "--resolution",
         metavar="X",
-        help=f"width that intervals of integrate are halved to ({RESOLUTION})",
+        help=f"for integrate: width at which the bisection ends ({RESOLUTION})",
     )
     add_scheduler_option(limits, "integrates")
     limits.add_argument(
         "--points",
         metavar="N",
-        help=f"span ratios tried a bird, evenly spaced: all of fly ({GRID}), the first of "
-        f"integrate ({ENDS})",
+        help=f"number of evenly spaced span ratios per bird: for fly all ({GRID}), for integrate "
+        f"those before the bisection ({ENDS})",
     )
     limits.add_argument(
-        "--processes", metavar="P", help=f"processes for the birds of fly ({PROCESSES})"
+        "--processes", metavar="P", help=f"for fly: processes for the birds ({PROCESSES})"
     )
     limits.add_argument(
-        "--timeout", metavar="S", help=f"longest standstill of fly, in s ({TIMEOUT})"
+        "--timeout",
+        metavar="S",
+        help=f"for fly: longest standstill before giving up, in s ({TIMEOUT})",
     )
     limits.add_argument(
-        "--bag", metavar="DIR", type=Path, help="keep the bag of fly in this new directory"
+        "--bag", metavar="DIR", type=Path, help="for fly: keep the bag in this new directory"
     )
-    add_picture_options(parser, "draw the diagram")
+    add_picture_options(parser, "file for a picture of the diagram")
     return parser
 
 
@@ -212,7 +218,7 @@ def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -
     processes = PROCESSES if options.processes is None else options.processes
     timeout = TIMEOUT if options.timeout is None else options.timeout
     if options.bag is not None and options.bag.exists():
-        raise FlockError(f"--bag {options.bag} exists: name a directory that does not")
+        raise FlockError(f"--bag {options.bag} exists: name a directory that does not exist")
 
     from flock_tools.experiments.flown_limits import HowFlown
 
@@ -227,11 +233,13 @@ def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
     check_links_exact(configuration, "limits")
     if configuration.birds < 2:
-        raise FlockError(f"birds = {configuration.birds}: limits need a formation, of 2 or more")
+        raise FlockError(
+            f"birds = {configuration.birds}: must be 2 or more, since limits need a formation"
+        )
     if configuration.members > 1:
         raise FlockError(
-            f"span ratios of {configuration.members} members: limits are of one flock; give one "
-            "span ratio to each bird"
+            f"span ratios of {configuration.members} members: must be those of one flock; give one "
+            "span ratio for each bird"
         )
     return configuration
 

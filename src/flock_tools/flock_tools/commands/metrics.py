@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from flock_sim.recording.run import Run
 
 DESCRIPTION = """\
-Say of a recorded run whether the flock holds together, how it is spaced, and what it saves.
+Print the metrics of a recorded flight: does the flock hold together, its spacings, its drag saved.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
-Of a free flight also how old what the birds knew was, and how far they are off the same flight in
-lockstep, which is integrated for that."""
+For a free flight, also the age of the data that the birds used, and the deviation from the same
+flight in lockstep, which is integrated for this purpose."""
 
 EXAMPLES = """\
   ./flock metrics runs/demo
@@ -42,7 +42,7 @@ def tool(arguments: Sequence[str]) -> int:
 
     with Run(options.run) as run:
         if run.missing:
-            note(f"note: {run.missing}; what is whole of it is used")
+            note(f"note: {run.missing}; its intact part is used")
         metrics, fresh = run.metrics(time), freshness(run)
         off = _deviation(run) if fresh else None
     if options.json:

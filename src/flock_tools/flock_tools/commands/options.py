@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 def add_moment_option(parser: argparse.ArgumentParser) -> None:
     """Add --at."""
-    parser.add_argument(
-        "--at", metavar="T", help="a recorded time, in b/U_min (the last recorded one)"
-    )
+    parser.add_argument("--at", metavar="T", help="a recorded time, in b/U_min (the last one)")
 
 
 def moment(options: argparse.Namespace) -> float | None:
@@ -45,9 +43,9 @@ def add_scheduler_option(group: argparse._ArgumentGroup, does: str) -> None:
 
 
 def add_picture_options(parser: argparse.ArgumentParser, told: str) -> None:
-    """Add --output, the file of a picture, and --json; `told` is what --output does."""
+    """Add --output, the file of a picture, and --json; `told` is the help of --output."""
     result = parser.add_argument_group("result")
-    result.add_argument("--output", metavar="FILE", type=Path, help=f"{told}: png, svg, pdf")
+    result.add_argument("--output", metavar="FILE", type=Path, help=f"{told} (png, svg or pdf)")
     result.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
 
 
@@ -61,6 +59,7 @@ def check_links_exact(configuration: FlockConfiguration, tool: str) -> None:
     """Raise FlockError unless all links are `exact` and without faults."""
     if not configuration.link_table.plain:
         raise FlockError(
-            f"links {' '.join(configuration.links)}: {tool} solves the exact coupling, for links "
-            "that are `exact`, without faults; leave them out, or fly over them with `./flock fly`"
+            f"links {' '.join(configuration.links)}: {tool} solves the exact coupling, "
+            "which needs `exact` links without faults; leave the links out, or fly with them: "
+            "`./flock fly`"
         )

@@ -16,8 +16,8 @@ MOST_TIMES = 2000
 """Largest number of recorded rows that a curve is drawn through."""
 
 DESCRIPTION = """\
-Draw the formation at one moment, each bird coloured by the drag it saves, above the way the flock
-took there: the spread of its speeds and the spacings along its wings against time."""
+Draw the formation at one time, each bird coloured by the drag it saves, and below it two curves
+against time: the spread of the speeds, and the spacings along the wings."""
 
 EXAMPLES = """\
   ./flock picture runs/demo                                  writes runs/demo/formation.png
@@ -31,10 +31,10 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
     add_moment_option(parser)
     parser.add_argument(
-        "--member", metavar="M", default="1", help="which of the flocks flown at once (1)"
+        "--member", metavar="M", default="1", help="number of the member to draw (1)"
     )
     parser.add_argument(
-        "--output", metavar="FILE", type=Path, help="the picture (RUN/formation.png)"
+        "--output", metavar="FILE", type=Path, help="file of the picture (RUN/formation.png)"
     )
     options = parser.parse_args(arguments)
     time = moment(options)
@@ -47,7 +47,7 @@ def tool(arguments: Sequence[str]) -> int:
 
     with Run(options.run) as run:
         if run.missing:
-            note(f"note: {run.missing}; what is whole of it is drawn")
+            note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
         metrics = run.metrics(time)
         rows = run.at().step // run.configuration.record_every + 1

@@ -12,21 +12,21 @@ from flock_sim.console.signals import Stop
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 
 DESCRIPTION = """\
-Publish what was recorded again: the same bytes, by their log time, on the same topics with the
-quality of service that they were recorded with. Any rosbag2 bag in MCAP files will do, compressed
-or not; what is not of a message type of an installed package, or not what its topic is announced to
-be, is left out, and named. After --start or a seek, what latched topics said last before is said
-first. /clock is played where it was recorded, as in every bag of Flock's; nothing is made up where
-it was not.
+Publish the recorded messages again: the same bytes, by their log time, on the same topics, with
+the recorded quality of service. Every rosbag2 bag of MCAP files can be played, compressed or not.
+Messages whose type belongs to no installed package, or which do not fit the type of their topic,
+are left out, and a note names them. After --start or a seek, the last earlier messages of latched
+topics are published first. /clock is played if it was recorded, as in every bag of Flock; the
+player has no clock of its own.
 
 On a terminal: space pauses, the right arrow plays the next message in a pause, up and down change
 the rate by a tenth, q ends it. The node /flock/player has the services of rosbag2's player:
 ~/pause, ~/resume, ~/toggle_paused, ~/is_paused, ~/set_rate, ~/get_rate, ~/seek, ~/play_next and
 ~/stop.
 
-Recorded states say run 0, and no flight takes them for its own: ./flock recorder records them if
-told that they are played (-p played:=true). Nodes started by hand that wait for their clock take a
-played grant for it: play on another ROS_DOMAIN_ID than theirs.
+Recorded states have run id 0, so no flight accepts them; ./flock recorder records them with
+-p played:=true. Nodes that you started by hand, and that wait for their clock, would accept a
+played grant as the grant of their clock: play on another ROS_DOMAIN_ID than theirs.
 Exit status: 0 played to the end, or stopped by q or ~/stop; 2 bad input; 130 Ctrl-C."""
 
 EXAMPLES = """\
@@ -42,17 +42,20 @@ def tool(arguments: Sequence[str]) -> int:
     parser = Parser("play", DESCRIPTION, EXAMPLES)
     parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag, or .mcap file")
     parser.add_argument(
-        "--rate", metavar="X", default="1", help="recorded seconds in a second (1); 0: no waiting"
+        "--rate", metavar="X", default="1", help="recorded seconds per second (1); 0: no waiting"
     )
     parser.add_argument(
-        "--start", metavar="S", default="0", help="begin so many recorded seconds after the first"
+        "--start",
+        metavar="S",
+        default="0",
+        help="begin S recorded seconds after the first message (0)",
     )
-    parser.add_argument("--duration", metavar="S", help="play so many recorded seconds (all)")
+    parser.add_argument("--duration", metavar="S", help="play S recorded seconds (all)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until stopped")
-    parser.add_argument("--paused", action="store_true", help="begin in a pause")
-    parser.add_argument("--topics", metavar="T", nargs="+", help="play these only")
+    parser.add_argument("--paused", action="store_true", help="begin paused")
+    parser.add_argument("--topics", metavar="T", nargs="+", help="play only these topics")
     parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
-    parser.add_argument("--json", action="store_true", help="print what was played as JSON")
+    parser.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
     options = parser.parse_args(arguments)
     rate = not_negative_number("--rate", options.rate)
     prepare_discovery(options.network)
@@ -63,7 +66,7 @@ def tool(arguments: Sequence[str]) -> int:
     stop = Stop(heed_interrupt=True)
     with BagReader(options.run) as bag:
         if bag.missing:
-            note(f"note: {bag.missing}; what is whole of it is played")
+            note(f"note: {bag.missing}; its intact part is played")
         for name in bag.left_out:
             note(f"note: {name} is left out: metadata.yaml does not list it")
         facts = play(bag, options, rate, stop)

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from flock_sim.recording.run import Run
 
 DESCRIPTION = """\
-Write a proper bag from one whose recorder was killed, whose disk was full, whose end was torn off
-or which is damaged anywhere: with all messages that are whole, also behind what is damaged, a
-summary and metadata.yaml. Perturbations that no flight can have are left out. All of the bag is
-read; it is left as it is. ./flock fly --resume flies again what the new bag lacks.
-Exit status: 0 repaired, or nothing to repair; 2 no bag of Flock's, or no whole message in it."""
+Write a valid bag from a damaged one: the recorder was killed, the disk was full, the end is
+missing, or bytes anywhere are damaged. The new bag has all intact messages, also those after a
+damaged place, a summary and metadata.yaml. Invalid perturbations are left out. The damaged bag is
+not changed. ./flock fly --resume flies the steps that the new bag lacks.
+Exit status: 0 repaired, or nothing to repair; 2 not a bag of Flock, or no intact message in it."""
 
 EXAMPLES = """\
   ./flock repair runs/torn                        writes runs/torn-repaired
@@ -196,7 +196,7 @@ def tool(arguments: Sequence[str]) -> int:
     with Run(options.run) as run:
         damage = examine(run)
         if damage.any and damage.messages == 0:
-            raise FlockError(f"{run.path}: no message of it is whole; fly again")
+            raise FlockError(f"{run.path}: it has no intact message; fly again")
         foreign = 0
         if damage.any:
             with own_output(output, options.force) as owned:
@@ -228,12 +228,10 @@ def described(facts: Mapping[str, Any]) -> str:
             f"{len(steps)} recorded steps are missing, from step {steps[0]} to step {steps[-1]}"
         )
     if facts["invalid_perturbations"]:
-        lines.append(
-            f"{facts['invalid_perturbations']} perturbations that no flight can have are left out"
-        )
+        lines.append(f"{facts['invalid_perturbations']} invalid perturbations are left out")
     if facts["left_out"]:
-        lines.append(f"{facts['left_out']} messages on topics that are not Flock's are left out")
-    lines.append(f"{facts['messages']} messages are whole, and in {facts['output']}")
+        lines.append(f"{facts['left_out']} messages on topics that Flock does not use are left out")
+    lines.append(f"{facts['messages']} intact messages are in {facts['output']}")
     return "\n".join(lines)
 
 

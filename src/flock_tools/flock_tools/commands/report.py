@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 ENDINGS = (".html", ".htm")
 
 DESCRIPTION = """\
-Write a page on one or several runs of as many birds: verdict and key numbers, the formation in
+Write a page on one or more runs with equal numbers of birds: verdict, key numbers, the formation in
 motion, speeds, spacings and drag saved against time, the final spacings against theory,
 eigenvalues, configuration and provenance. One HTML file that needs no network."""
 
@@ -39,7 +39,7 @@ def tool(arguments: Sequence[str]) -> int:
         "--output", metavar="FILE", type=Path, help="the page (report.html in the first RUN)"
     )
     parser.add_argument(
-        "--json", action="store_true", help="print where it is and the key numbers as JSON"
+        "--json", action="store_true", help="print the path and the key numbers as JSON on stdout"
     )
     options = parser.parse_args(arguments)
 
@@ -51,7 +51,7 @@ def tool(arguments: Sequence[str]) -> int:
         output = _output(options)
         for run in runs:
             if run.missing:
-                note(f"note: {run.missing}; what is whole of it is shown")
+                note(f"note: {run.missing}; its intact part is shown")
         shown = _read(runs)
 
     from flock_tools.report.html import page
@@ -90,7 +90,7 @@ def _check_birds(runs: Sequence[Run]) -> None:
         if birds != first:
             raise FlockError(
                 f"{run.path} has {birds} bird{'s' * (birds > 1)} and {runs[0].path} has {first}: "
-                "runs in one report must be of as many birds; write one report for each"
+                "runs in one report must have the same number of birds; write one report for each"
             )
 
 

@@ -10,8 +10,8 @@ from flock_sim.console.arguments import Parser, run_tool
 from flock_tools.figures.files import FigureFiles, add_output_option, write_figures
 
 DESCRIPTION = """\
-Fly geese whose messages are late, rare or lost, by the reference, and draw the figure of
-docs/coupling.md: as PNG and SVG, and its data as CSV. It takes some minutes."""
+Fly flocks whose messages are late, rare or lost, without ROS, and draw the figure of
+docs/coupling.md, as PNG and SVG, with its data as CSV. This takes some minutes."""
 
 EXAMPLES = """\
   ./flock study                       writes docs/figures/coupling.png and its data

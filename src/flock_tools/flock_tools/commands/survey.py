@@ -42,10 +42,10 @@ SPREADS = "0.0025,0.005,0.0075,0.01,0.015,0.02,0.03,0.04,0.06"
 SAMPLES = "10000"
 
 DESCRIPTION = """\
-Draw flocks in which every bird differs, and count how many can fly in formation: the fraction
-against the spread of span ratios, with 95 % confidence intervals, and how often a flock breaks
-whose smallest bird is at the tail, ..., the leader. The same seed draws the same flocks, whoever
-computes."""
+Generate random flocks in which every bird has another span ratio, and count how many can fly in
+formation. The result is their fraction against the spread of span ratios, with 95 % confidence
+intervals, and the fraction of flocks that can't, for each position of the smallest bird, from the
+tail to the leader. The same seed gives the same flocks, on any number of workers."""
 
 EXAMPLES = """\
   ./flock survey --output survey.png
@@ -113,13 +113,18 @@ def _parser() -> Parser:
         default=SPREADS,
         help=f"standard deviations of span ratios, normal about 1 ({SPREADS})",
     )
-    which.add_argument("--uniform", metavar="LO,HI", help="draw them uniformly from an interval")
-    drawn.add_argument(
-        "--samples", metavar="K", default=SAMPLES, help=f"flocks of each kind ({SAMPLES})"
+    which.add_argument(
+        "--uniform", metavar="LO,HI", help="a uniform distribution of span ratios instead"
     )
-    drawn.add_argument("--seed", metavar="SEED", default="0", help="of the random numbers (0)")
+    drawn.add_argument(
+        "--samples",
+        metavar="K",
+        default=SAMPLES,
+        help=f"flocks per size and distribution ({SAMPLES})",
+    )
+    drawn.add_argument("--seed", metavar="SEED", default="0", help="seed of the random numbers (0)")
     add_scheduler_option(drawn, "computes")
-    add_picture_options(parser, "draw it")
+    add_picture_options(parser, "file for a picture of the result")
     return parser
 
 
@@ -165,7 +170,8 @@ def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
     flock = flock_configuration(options)
     if flock.span_ratios:
         raise FlockError(
-            f"span_ratios in configuration file {options.config}: all are drawn here; leave it out"
+            f"span_ratios in configuration file {options.config}: survey sets all at random; "
+            "leave the key out"
         )
     if sizes is None:
         sizes = SIZES if options.config is None else str(flock.birds)

@@ -32,18 +32,20 @@ AT_ONCE = 250
 """Members per flight: many, so that messages cost little, but few enough for small bags."""
 
 DESCRIPTION = """\
-Fly a flock for all values along some axes, many at once as members of one flight over ROS 2, and
-write what came of each member to one NetCDF file, sweep.nc, with the axes as coordinates, and one
-picture, sweep.png, both in --output beside the bags of the flights.
-FILE is YAML: `flock:` holds keys of a configuration file, common to all, and `axes:` the values of
-what differs, as a list or as {from: , to: , count: }:
-  span_ratio[I]                  wing span of bird I (also lambda_I)
-  position[I], speed[I]          what bird I is pushed by at the start, in b and U_min
+Fly a flock for all combinations of values along some axes, many of them at once as members of one
+flight over ROS 2. The results of all members are written to one NetCDF file, sweep.nc, with the
+axes as coordinates, and drawn in one picture, sweep.png, both in --output beside the bags of the
+flights.
+FILE is YAML: `flock:` holds keys of a configuration file that all members have in common, and
+`axes:` the values that differ, as a list or as {from: , to: , count: }:
+  span_ratio[I]                  span ratio of bird I (also lambda_I)
+  position[I], speed[I]          change of the start of bird I, in b and U_min
   link.KEY, link[I->J].KEY       of all links or one: model, delay, drop, interval, noise, seed ...
   coupling, dt, cruise_speed ... keys of a configuration; each value has flights of its own
-Interrupted, by Ctrl-C or kill -9 at any time, the same command goes on: what is flown is not flown
-again, and a flight that was cut short is resumed. Another sweep in --output is refused.
-Exit status: 0 whatever becomes of the flocks; 1 a flight failed; 2 bad input."""
+If a sweep is interrupted, by Ctrl-C or kill -9 at any time, the same command continues it: complete
+flights are not flown again, and an incomplete flight is resumed. If --output holds another sweep,
+the command is refused.
+Exit status: 0 all flights are complete, whatever their results; 1 a flight failed; 2 bad input."""
 
 EXAMPLES = """\
   ./flock sweep delays.yaml                       writes runs/delays/sweep.nc, sweep.png
@@ -83,7 +85,7 @@ def tool(arguments: Sequence[str]) -> int:
         note(f"{_told(sweep)}, {len(flights)} flight{'s' * (len(flights) > 1)} into {output}")
         flown = fly_all(flights, directory, how)
         if not flown:
-            note("all of it is flown: nothing to go on with")
+            note("all flights are complete: there is nothing left to fly")
         # Imported after the flights: xarray and matplotlib take 1 s.
         from flock_tools.experiments.sweep.dataset import dataset, netcdf
         from flock_tools.figures.sweep import draw_sweep
@@ -114,16 +116,16 @@ def tool(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     parser = Parser("sweep", DESCRIPTION, EXAMPLES)
-    parser.add_argument("file", metavar="FILE", type=Path, help="what is swept: YAML, as above")
+    parser.add_argument("file", metavar="FILE", type=Path, help="the sweep in YAML, as above")
     result = parser.add_argument_group("result")
     result.add_argument(
         "--output", metavar="DIR", type=Path, help="directory of the sweep (runs/NAME-OF-FILE)"
     )
-    result.add_argument(
-        "--force", action="store_true", help="begin anew: replace the sweep in --output"
-    )
+    result.add_argument("--force", action="store_true", help="replace the sweep in --output")
     result.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
-    how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
+    how = parser.add_argument_group(
+        "how it is flown", "none of these options changes a bit of the result"
+    )
     how.add_argument(
         "--members-at-once",
         metavar="M",

@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
 
 DESCRIPTION = """\
-Show a flock that is flown or played in space, in SI units: birds of true span, coloured by the
-drag they save, their wakes by where the air goes, their way through the formation, and the air on
-a plane behind the flock. Published, for RViz or any Foxglove bridge, are
+Show a flock that is being flown or played, in 3D and SI units: birds of true span, coloured by the
+drag they save; their wakes, coloured by the upward air speed; their trails in the formation; and
+the upward air speed on a plane behind the flock. These topics are for RViz or any Foxglove bridge:
 
   /flock/view/markers      visualization_msgs/MarkerArray, in the frame flock
   /flock/view/upwash       sensor_msgs/Image, 32FC1: upwash behind the flock, in m/s
-  /flock/view/transform    geometry_msgs/TransformStamped of flock, which moves with the leader, in
-                           world; on /tf, too, where tf2_msgs is installed
+  /flock/view/transform    geometry_msgs/TransformStamped from the frame world to the frame flock,
+                           which moves with the leader; also on /tf if tf2_msgs is installed
 
---foxglove serves them to Foxglove without a bridge. docs/view.md tells more.
-Exit status: 0 picture written; 2 bad input, or nothing heard within --timeout; 130 Ctrl-C."""
+--foxglove serves them to Foxglove without a bridge. Details are in docs/view.md.
+Exit status: 0 picture written; 2 bad input, or no flock found within --timeout; 130 Ctrl-C."""
 
 EXAMPLES = """\
   ./flock view
@@ -68,12 +68,17 @@ FASTEST = 60.0
 def tool(arguments: Sequence[str]) -> int:
     """Publish a flock until Ctrl-C, or draw it once."""
     parser = Parser("view", DESCRIPTION, EXAMPLES)
-    parser.add_argument("--member", metavar="M", default="1", help="which member to show (1)")
     parser.add_argument(
-        "--rate", metavar="HZ", default="10", help="how often to publish in a second, at most (10)"
+        "--member", metavar="M", default="1", help="number of the member to show (1)"
     )
     parser.add_argument(
-        "--config", metavar="FILE", type=Path, help="what is flown, where no clock tells"
+        "--rate", metavar="HZ", default="10", help="largest number of updates per second (10)"
+    )
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        help="configuration of the flock if no clock sends it",
     )
     parser.add_argument(
         "--timeout", metavar="S", default="10", help="how long to wait for a flock, in s (10)"
@@ -85,20 +90,22 @@ def tool(arguments: Sequence[str]) -> int:
         metavar="PORT",
         nargs="?",
         const=FOXGLOVE_PORT,
-        help=f"serve a Foxglove WebSocket; on port {FOXGLOVE_PORT} if none is given, 0 is any",
+        help=f"serve a Foxglove WebSocket on this port ({FOXGLOVE_PORT}; 0: any free port)",
     )
     server.add_argument(
-        "--host", metavar="HOST", help=f"on this address of this machine ({HOST}: for itself only)"
+        "--host", metavar="HOST", help=f"address to serve on ({HOST}: only for this machine)"
     )
     server.add_argument(
         "--foxglove-origin",
         metavar="URL",
         action="append",
-        help="let web pages from there connect, such as https://app.foxglove.dev; may be repeated. "
-        "Programs, and pages that this machine serves, always may",
+        help="accept web pages from this origin, such as https://app.foxglove.dev; may be "
+        "repeated. Programs, and pages that this machine serves, are always accepted",
     )
     picture = parser.add_argument_group("picture")
-    picture.add_argument("--picture", metavar="FILE", type=Path, help="draw RUN, and end")
+    picture.add_argument(
+        "--picture", metavar="FILE", type=Path, help="draw RUN to this file, and end"
+    )
     picture.add_argument(
         "run", metavar="RUN", nargs="?", type=Path, help="directory of a bag, for --picture"
     )
@@ -112,7 +119,9 @@ def tool(arguments: Sequence[str]) -> int:
 def _draw(options: Namespace) -> int:
     """Write a picture, and print its path."""
     if options.run is None:
-        raise FlockError(f"--picture {options.picture}: of which RUN? name the directory of a bag")
+        raise FlockError(
+            f"--picture {options.picture}: needs a RUN to draw; name the directory of a bag"
+        )
     if options.foxglove is not None:
         raise FlockError("--picture and --foxglove exclude each other: leave one out")
     time_shown = moment(options)
@@ -123,7 +132,7 @@ def _draw(options: Namespace) -> int:
 
     with Run(options.run) as run:
         if run.missing:
-            note(f"note: {run.missing}; what is whole of it is drawn")
+            note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
         figure = draw_scene(scene_of(run, time_shown, member - 1))
     write_picture(figure, options.picture, "--picture")
@@ -136,7 +145,7 @@ def _show(options: Namespace) -> int:
     for name, value in (("RUN", options.run), ("--at", options.at)):
         if value is not None:
             raise FlockError(
-                f"{name} {value}: is for --picture; ./flock play RUN lets a recorded flight be seen"
+                f"{name} {value}: is for --picture; to see a recorded flight, ./flock play RUN"
             )
     member = whole_number("--member", options.member, 1)
     rate = positive_number("--rate", options.rate)
@@ -207,9 +216,7 @@ def _publish(
         if sample is None:
             return
         if not viewer.tells_flown:
-            note(
-                "note: no clock tells what is flown; SI units and drag saved are those of --config"
-            )
+            note("note: no clock sends the configuration; SI units and drag saved follow --config")
         note(
             f"showing {sample.birds} birds, member {sample.member} of {sample.members}, on "
             f"{MARKERS_TOPIC}, ROS domain {os.environ.get(DOMAIN) or 0}; Ctrl-C ends it"

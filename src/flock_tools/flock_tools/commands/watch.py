@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from flock_tools.live.listener import Watcher
 
 DESCRIPTION = """\
-Show a flock that is flown or played, bird by bird, in the terminal: where it is relative to the
-leader, how fast, how much drag it saves, whom it hears, and how old the last word of it is. The
-latest recorded step is shown; states are sent every --record-every steps. Drag saved, coupling and
-the end of the flight are told by the clock's grants: bags of ./flock reference have none.
-Exit status: 0 shown (--once, --json); 1 nothing heard within --timeout; 2 bad input; 130 Ctrl-C."""
+Show a table of a flock that is being flown or played, with a row for each bird: its position
+relative to the leader, its speed, the drag it saves, the birds whose messages it uses ("hears"),
+and the age of its last message. The latest recorded step is shown; birds send states every
+--record-every steps. Drag saved, coupling and the end of the flight come from the clock's grants,
+which bags of ./flock reference do not have.
+Exit status: 0 shown (--once, --json); 1 no flock within --timeout; 2 bad input; 130 Ctrl-C."""
 
 EXAMPLES = """\
   ./flock watch
@@ -64,7 +65,7 @@ def table(sample: Sample) -> Table:
     for cells in zip(*shown.values(), strict=True):
         drawn.add_row(*cells)
     if not known:
-        drawn.caption = "no clock has told what is flown: drag is in ρ b² U_min²"
+        drawn.caption = "no clock has sent the configuration: drag is in ρ b² U_min²"
     return drawn
 
 
@@ -76,7 +77,9 @@ def _listed(birds: Sequence[int]) -> str:
 def tool(arguments: Sequence[str]) -> int:
     """Show a flock until Ctrl-C, or once."""
     parser = Parser("watch", DESCRIPTION, EXAMPLES)
-    parser.add_argument("--member", metavar="M", default="1", help="which member to show (1)")
+    parser.add_argument(
+        "--member", metavar="M", default="1", help="number of the member to show (1)"
+    )
     parser.add_argument("--once", action="store_true", help="print one table, and end")
     parser.add_argument("--json", action="store_true", help="print one sample as JSON, and end")
     parser.add_argument(

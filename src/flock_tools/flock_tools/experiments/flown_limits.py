@@ -110,5 +110,5 @@ class _FlightTrial:
         }
         with Run(bag) as run:
             if run.missing:
-                raise RunFailed(f"{run.missing}: no verdicts; fly again, and let it end")
+                raise RunFailed(f"{run.missing}: limits need the end of the flight; fly again")
             return run.at(flown.t_max).speed

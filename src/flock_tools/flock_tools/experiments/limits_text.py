@@ -31,7 +31,7 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     """Return the limits as text."""
     low, high = facts["between"]
     lines = [
-        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios of "
+        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios from "
         f"{low:g} to {high:g} that keep the formation",
     ]
     digits = 12 if facts["method"] == "exact" else 2 - round(math.log10(facts["resolution"]))
@@ -39,9 +39,7 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     lines.append(f"  bird   {'lower':<{width}}  opens   {'upper':<{width}}  opens")
     for limits in found:
         if limits.never:
-            lines.append(
-                f"  {limits.bird:4}   none: no span ratio of this bird was found that does"
-            )
+            lines.append(f"  {limits.bird:4}   none: no such span ratio of this bird was found")
             continue
         ends = [
             f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
@@ -52,10 +50,10 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
         lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
     if not facts["as_given"]:
         lines.append(
-            "as given the flock can't fly in formation: intervals are those nearest to it"
+            "the flock as given can't fly in formation: intervals are those nearest to its ratios"
             if facts["method"] == "exact"
-            else f"as given the flock has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
-            "intervals are those nearest to it; a longer flight (--t-max) may settle"
+            else f"the flock as given has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
+            "intervals are those nearest to its ratios; it may settle in a longer flight (--t-max)"
         )
     lines += _how(facts)
     return "\n".join(line.rstrip() for line in lines)

@@ -132,7 +132,9 @@ class View:
             return []
         members = len(row[0].position)
         if member > members:
-            raise FlockError(f"--member {member}: must be in 1..{members}, as the flock has them")
+            raise FlockError(
+                f"--member {member}: must be in 1..{members}, the members of the flock"
+            )
         return row
 
     def _of_all(self, row: Mapping[int, State], birds: int) -> list[State]:

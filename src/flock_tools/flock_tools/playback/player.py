@@ -78,7 +78,7 @@ class Player(Node):
         try:
             self._outlets[topic].publish(data)
         except rclpy_implementation.RCLError as error:
-            raise NotPublishable(f"{len(data)} bytes are not what its type has room for") from error
+            raise NotPublishable(f"{len(data)} bytes do not fit its type") from error
 
     def say_when_heard(self, topic: str, data: bytes) -> None:
         """Publish once listeners have acknowledged the messages that it would push out of a queue.
@@ -156,7 +156,7 @@ class Player(Node):
 def check_cdr(data: bytes) -> None:
     """Raise NotPublishable for bytes that do not begin as CDR, such as compressed bytes."""
     if len(data) < len(ENCAPSULATION) or data[0] != ENCAPSULATION[0]:
-        raise NotPublishable("their bytes are no CDR")
+        raise NotPublishable("their bytes are not CDR")
 
 
 def _stamp(recorded: Any) -> int:

@@ -91,14 +91,16 @@ def select(bag: BagReader, wanted: Sequence[str] | None) -> Selection:
         if topic is not None:
             topics[name] = topic
             if topic.qos.depth > DEEPEST:
-                notes.append(f"{name}: its queue of {topic.qos.depth} messages is cut to {DEEPEST}")
+                notes.append(
+                    f"{name}: its queue depth of {topic.qos.depth} is reduced to {DEEPEST}"
+                )
                 topic.qos.depth = DEEPEST
         elif wanted:
             raise FlockError(f"--topics {name}: {skipped[name]}")
     if not topics:
         reasons = [f"{name}: {reason}" for name, reason in skipped.items()]
         raise FlockError(
-            f"{bag.path}: no topic of it can be played ({'; '.join(reasons) or 'it has none'})"
+            f"{bag.path}: none of its topics can be played ({'; '.join(reasons) or 'it has none'})"
         )
     return Selection(topics, skipped, notes)
 
@@ -161,7 +163,7 @@ def _playable(
             kind = its_kind
             chosen.append(stream)
         else:
-            reasons.append(f"its messages of type {stream.type}, since {chosen[0].type} is played")
+            reasons.append(f"its messages of type {stream.type}: only {chosen[0].type} is played")
     if kind is None:
         return None, list(dict.fromkeys(reasons))
     told = {
@@ -182,9 +184,9 @@ def _class_of(bag: BagReader, name: str, stream: Stream) -> Any:
     try:
         validate_full_topic_name(name)
     except InvalidTopicNameException as error:
-        raise ValueError("its name is none that ROS 2 allows") from error
+        raise ValueError("ROS 2 does not allow its name") from error
     if not stream.type:
-        raise ValueError("it has no schema, which would tell the type of its messages")
+        raise ValueError("it has no schema, so the type of its messages is unknown")
     kind = message_class(stream.type)
     _check_definition(stream, [channel.metadata for channel in bag.streams[stream]])
     return kind
@@ -194,4 +196,6 @@ def _check_definition(stream: Stream, metadata: Iterable[Mapping[str, str]]) -> 
     """Raise ValueError if the recorded definition is not the installed one."""
     recorded = {entry["topic_type_hash"] for entry in metadata if entry.get("topic_type_hash")}
     if recorded and (installed := installed_hash(stream.type)) and recorded != {installed}:
-        raise ValueError(f"its type {stream.type} has another definition here than in the bag")
+        raise ValueError(
+            f"its type {stream.type} is installed with another definition than in the bag"
+        )

@@ -110,8 +110,8 @@ def compare(
     if result.messages == 0 and result.equal:
         empty = [str(run.path) for run in (first, second) if run.bag.last_time is None]
         raise FlockError(
-            f"{' and '.join(empty) or 'the runs'}: no state that both could have; "
-            "name bags of flights that began"
+            f"{' and '.join(empty) or 'the runs'}: there are no states to compare; "
+            "name bags of flights with recorded states"
         )
     return result
 

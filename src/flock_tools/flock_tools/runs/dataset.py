@@ -63,7 +63,7 @@ def read(
     """Return the dataset of an open run, as `load` does."""
     for name, time in (("start", start), ("end", end)):
         if time is not None and not math.isfinite(time):
-            raise FlockError(f"{name} = {time}: must be finite, or None for all there is")
+            raise FlockError(f"{name} = {time}: must be finite, or None for no bound")
     if stride < 1:
         raise FlockError(f"stride = {stride}: must be 1 or more")
     configuration = run.configuration

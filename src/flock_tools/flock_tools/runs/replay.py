@@ -30,7 +30,7 @@ from flock_tools.playback.player import Player
 from flock_tools.playback.schedule import BILLION, Schedule
 from flock_tools.playback.topics import Selection, expanded, select
 
-KEYS = "space: pause or go on   right: next message   up, down: rate   q: end"
+KEYS = "space: pause or continue   right: next message   up, down: rate   q: end"
 
 LONGEST = 2**64 / BILLION
 """The longest recorded time, in s, that a bag can hold."""
@@ -73,8 +73,8 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
         )
         if playback.empty:
             raise FlockError(
-                f"{bag.path}: nothing was recorded on these topics from {start / BILLION:.12g} s on"
-                " for as long as --duration says: choose others"
+                f"{bag.path}: these topics have no message from {start / BILLION:.12g} s on, within"
+                " --duration: choose other topics, or another --start or --duration"
             )
         player.serve(playback)
         spin()
@@ -112,12 +112,12 @@ def _extract(bag: BagReader, options: Namespace) -> Extract:
     """Return the part that `options` select. Raises FlockError if it is empty."""
     first, last = bag.first_time, bag.last_time
     if first is None or last is None:
-        raise FlockError(f"{bag.path}: there is no message in it; name another bag")
+        raise FlockError(f"{bag.path}: it has no messages; name another bag")
     start = recorded_time("--start", options.start)
     if start > last - first:
         raise FlockError(
-            f"--start {options.start}: must be {(last - first) / BILLION:.12g} or less, where the"
-            " bag ends"
+            f"--start {options.start}: must be {(last - first) / BILLION:.12g} or less, the"
+            " recorded time in s"
         )
     if options.duration is None:
         return Extract(first, last, start, None)
@@ -168,8 +168,8 @@ def _renamed(messages: Iterable[Recorded]) -> Iterator[Recorded]:
 
 def _long_wait(left: float, since: int) -> str:
     return (
-        f"note: the next message is due in {left:.0f} s: give --start {Decimal(since) / BILLION} to"
-        " begin there; or press space, the right arrow and space, or call ~/seek, to go on there"
+        f"note: the next message follows in {left:.0f} s: to skip the pause, begin with --start"
+        f" {Decimal(since) / BILLION}, or press space, the right arrow and space, or call ~/seek"
     )
 
 

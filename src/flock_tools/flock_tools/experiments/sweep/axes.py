@@ -77,7 +77,7 @@ def axis(name: str, given: Any) -> Axis:
     found = _ratio(name) or _start(name) or _link(name) or _key(name)
     if found is None:
         if name in COMMON:
-            raise FlockError(f"{called}: is one for all members; give it below `flock:`")
+            raise FlockError(f"{called}: must be the same for all members; give it below `flock:`")
         raise FlockError(f"{called}: {nearest(name, KNOWN)}")
     words = name == "coupling" or name.endswith(".model")
     values = _values(called, given, words)

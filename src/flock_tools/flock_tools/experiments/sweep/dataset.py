@@ -28,7 +28,7 @@ ATTRIBUTES = {
     "mean_speed": ("mean speed of the birds at the end", "U_min"),
     "speed_std": ("spread of the birds' speeds at the end, sigma_U", "U_min"),
     "holds": (f"whether the flock holds together, sigma_U < {STABLE_BELOW:g}", "1"),
-    "diverged": ("whether positions or speeds are no finite numbers at the end", "1"),
+    "diverged": ("whether positions or speeds are not finite at the end", "1"),
     "mean_drag_reduction": ("drag saved at the end, mean over the birds", "1"),
     "mean_spacing": ("mean distance along the flight of neighbours at the end", "b"),
     "flight": ("number of the flight", "1"),

@@ -113,8 +113,8 @@ class SweepDirectory:
             return ""
         if flown != flight.configuration:
             raise FlockError(
-                f"{self.bag(flight)}: is not what flight {flight.number} of this sweep flies: name "
-                "another --output, or begin anew with --force"
+                f"{self.bag(flight)}: is not the bag of flight {flight.number} of this sweep: name "
+                "another --output, or replace the sweep with --force"
             )
         return missing
 
@@ -127,11 +127,11 @@ class SweepDirectory:
             except OSError:
                 if time.monotonic() > deadline:
                     raise FlockError(
-                        f"output {self.path}: another sweep is flying into it: wait for its end, "
+                        f"output {self.path}: another sweep is writing to it: wait for its end, "
                         "or name another --output"
                     ) from None
             if not waited:
-                note(f"another process is at {self.path}: waiting for its end")
+                note(f"another process uses {self.path}: waiting for it to end")
             waited = True
             time.sleep(0.1)  # polls, because nothing announces the release of a lock
 
@@ -148,7 +148,7 @@ class SweepDirectory:
                 f"({PLAN_FILE} differs): add --force to replace it, or name another --output"
             )
         elif names:
-            raise FlockError(f"output {self.path} exists and holds no sweep: name another --output")
+            raise FlockError(f"output {self.path} exists and is not a sweep: name another --output")
         self.write(file, plan.encode())
 
     def _replace(self, names: set[str]) -> None:

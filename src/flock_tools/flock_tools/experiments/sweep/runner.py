@@ -42,7 +42,7 @@ def fly_all(flights: Sequence[Flight], directory: SweepDirectory, how: Sequence[
         if status:
             raise RunFailed(
                 f"flight {flight.number} of {len(flights)} ended with status {status}: the same "
-                "command goes on with it"
+                "command resumes it"
             )
     return flown
 

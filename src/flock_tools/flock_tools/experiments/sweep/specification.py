@@ -131,8 +131,8 @@ def sweep(found: Any) -> Sweep:
     flock = FlockConfiguration.from_parameters({str(key): value for key, value in given.items()})
     if flock.members > 1:
         raise FlockError(
-            f"`{FLOCK}:` gives values of {flock.members} members: the axes say what differs; give "
-            "one value of each"
+            f"`{FLOCK}:` gives values for {flock.members} members: give one value of each here, "
+            f"and those that differ below `{AXES}:`"
         )
     wanted = tuple(axis(str(name), values) for name, values in axes.items())
     _check_apart(wanted)
