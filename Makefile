@@ -6,7 +6,7 @@ WORKERS = $(shell nproc)
 
 .PHONY: setup demo test test-kilted torture lint docs bench figures clean help
 
-setup:  ## build .venv and the workspace where missing or stale (all others do it themselves)
+setup:  ## build .venv and the workspace where missing or stale (all other targets do this first)
 	@tools/setup
 
 demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure and report on them
@@ -14,8 +14,8 @@ demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure a
 	@./flock picture runs/demo
 	@./flock report runs/demo
 	@echo
-	@echo "The bag is runs/demo, with the picture of the formation and the report in it: open runs/demo/report.html"
-	@echo "in a browser. The same flight without ROS, to the bit:"
+	@echo "The bag is runs/demo; a picture of the formation and a report are in it: open runs/demo/report.html"
+	@echo "in a browser. The same flight without ROS, equal bit for bit:"
 	@echo "  ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference"
 
 test: setup  ## run the tests; ALL=1: the slow ones too
@@ -37,11 +37,11 @@ lint: setup  ## check style and types
 	@./flock python -m mypy
 	@./flock python -c "from importlinter.cli import lint_imports_command; lint_imports_command()" --no-cache
 
-docs: setup  ## write docs/tools.md and docs/messages.md anew, and build the site in build/site
+docs: setup  ## generate docs/tools.md and docs/messages.md, and build the site in build/site
 	@./flock python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements/docs.txt
 	@./flock python tools/generated_docs.py
 	@NO_MKDOCS_2_WARNING=true ./flock python -m mkdocs build --strict --site-dir build/site
-	@echo "The site is build/site: open build/site/index.html in a browser. Its search needs a server:"
+	@echo "The site is build/site: open build/site/index.html in a browser. The search on it needs a server:"
 	@echo "  python3 -m http.server --directory build/site"
 
 figures: setup  ## redraw all figures in docs/figures
@@ -56,7 +56,7 @@ bench: setup  ## measure throughput
 	@./flock python benchmarks/run.py
 	@./flock python benchmarks/scaling.py
 
-clean:  ## remove all that was built; recorded flights stay
+clean:  ## remove all build results; recorded flights are kept
 	rm -f .venv/flock-stamp build/flock-stamp
 	rm -rf .venv build install log .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -173,7 +173,7 @@ def test_tabs_are_walked_by_keyboard_and_show_their_part(opened: Opener) -> None
         assert page.locator(f"#tab-{part}").get_attribute("aria-selected") == "true"
     assert "stable" in str(page.locator(".cards").text_content())
     page.locator("#tab-theory").click()
-    assert "off the exact steady state" in str(page.locator("#profile-words").text_content())
+    assert "b from the exact steady state" in str(page.locator("#profile-words").text_content())
     assert page.locator("#eigenvalues-table tbody tr").count() == 25
 
 

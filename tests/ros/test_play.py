@@ -263,8 +263,8 @@ def test_a_bag_of_every_fault_is_played_around_its_faults(
     assert sorted(heard) == expected
     assert done.json["topics"] == {"/map": 1, "/clock": 3, "/words": 3}
     assert done.json["left_out"] == {"/clock": 3}
-    assert "messages of /clock are left out: 512 bytes are not what" in done.stderr
-    assert "/map: its queue of 2147483648 messages is cut" in done.stderr
+    assert "messages of /clock are left out: 512 bytes do not fit its type" in done.stderr
+    assert "/map: its queue depth of 2147483648 is reduced" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_a_long_run_keeps_the_extremes_however_it_is_read(
     assert len(kept) <= 40
     np.testing.assert_array_equal(kept.max(axis=0), speed.max(axis=0).astype("<f4"))
     np.testing.assert_array_equal(kept.min(axis=0), speed.min(axis=0).astype("<f4"))
-    assert "Of the 201 rows that were recorded" in page.text
+    assert "Of the 201 recorded rows" in page.text
 
 
 def test_theory_is_the_linear_law_for_equal_birds(tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_what_the_page_gives_for_the_command_line_flies_the_same(
 ) -> None:
     record(tmp_path / "run", flown)
     page = reported(tmp_path / "run", output=tmp_path / "a.html")
-    given, _, rest = page.text.partition("./flock fly")[2].partition(" (what was typed")
+    given, _, rest = page.text.partition("./flock fly")[2].partition(" (flies the same flock")
     assert rest
     file = tmp_path / "flock.yaml"
     text = (tmp_path / "a.html").read_text(encoding="utf-8")

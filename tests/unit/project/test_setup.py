@@ -213,7 +213,7 @@ def test_what_is_missing_is_made_again(tree: Tree) -> None:
         path = tree.root / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
         if name in (tool, "install"):
-            said = f"error: Flock in {tree.root} has lost `fly`: run `make setup` there"
+            said = f"error: Flock in {tree.root} lacks the tool `fly`: run `make setup` there"
             assert tree.fly() == (2, said)
         assert tree.set_up() == [phase], name
     for name in (code, tool):

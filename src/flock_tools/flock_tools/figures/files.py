@@ -74,7 +74,7 @@ def _pin(figure: Figure) -> None:
 def add_output_option(parser: ArgumentParser) -> None:
     """Add the option for the directory of the figures."""
     parser.add_argument(
-        "--output", metavar="DIR", type=Path, default=OUTPUT, help=f"where to ({OUTPUT})"
+        "--output", metavar="DIR", type=Path, default=OUTPUT, help=f"directory for them ({OUTPUT})"
     )
 
 
@@ -86,7 +86,7 @@ def write_figures(figures: Iterable[FigureFiles], output: Path) -> None:
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FlockError(f"--output {output}: can't be made: {error.strerror}") from error
+        raise FlockError(f"--output {output}: can't be created: {error.strerror}") from error
     for figure in figures:
         for name, content in figure.files():
             path = output / name

@@ -237,14 +237,14 @@ class _Diagram:
                 Line2D([], [], color=ALARM, linewidth=self._thickness, label="formation exists")
             )
         if any(end.gap for _, end, _ in self.ends) and len(self.limits) <= MOST_NAMED:
-            text = "birds 1 and 2 part beyond this end"
+            text = "birds 1 and 2 separate beyond this end"
             sign = f"$\\mathrm{{{self.name(End(1.0, 1))}}}$"
             marks.append(mark(text, sign, color=INK, markersize=11, markeredgewidth=0.2))
         if any(not end.gap for _, end, _ in self.ends) and len(self.limits) <= MOST_NAMED:
             text = "no speed balances thrust and drag beyond"
             marks.append(mark(text, "$U^*$", color=INK, markersize=9, markeredgewidth=0.2))
         if any(found.lower is None or found.upper is None for found in kept):
-            marks.append(mark("goes on beyond what is shown", "^", markeredgewidth=0))
+            marks.append(mark("interval extends beyond the figure", "^", markeredgewidth=0))
         if len(kept) < len(self.limits):
             text = f"no formation from {self.low:g} to {self.high:g}"
             marks.append(mark(text, "x", color=INK, markersize=5))

@@ -230,7 +230,7 @@ def theory(configuration: FlockConfiguration, metrics: Metrics) -> Theory:
         return Theory(None, str(error), linear)
     note = ""
     if not configuration.link_table.plain:
-        note = "Theory is that of birds that know their neighbours exactly: not of these links."
+        note = "The theory assumes links that are exact. The links of this run are not."
     return Theory(assessment, note, linear)
 
 

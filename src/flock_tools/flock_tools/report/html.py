@@ -144,8 +144,8 @@ def _remarks(runs: Sequence[Reported]) -> list[str]:
         shown = run.history.speed.shape[2]
         if shown < run.metrics.members:
             remarks.append(
-                f"{run.name}: pictures are of the first {shown} of {run.metrics.members} members; "
-                "more would not fit in one file."
+                f"{run.name}: pictures show the first {shown} of {run.metrics.members} members; "
+                "more would make the file too large."
             )
     return remarks
 
@@ -186,14 +186,14 @@ def _value(value: object) -> str:
 def _provenance(run: Reported) -> list[tuple[str, str]]:
     again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
     if run.factor:
-        again = f"no two free flights are alike; in lockstep, {again}"
+        again = f"a free flight can't be repeated; the same flock in lockstep: {again}"
     return [
         ("flown by", f"Flock {run.flock_version}"),
-        ("command", f"{command(run)} (what was typed is not recorded; this flies the same flock)"),
-        ("to the bit", again),
+        ("command", f"{command(run)} (flies the same flock; the original command is not recorded)"),
+        ("repeat bit for bit", again),
         *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
         *[("SHA-256", digest) for _, _, digest in run.files],
-        ("pushes in flight", "; ".join(run.pushes) or "none"),
+        ("perturbations in flight", "; ".join(run.pushes) or "none"),
         ("complete", run.missing or "yes"),
     ]
 
@@ -216,12 +216,12 @@ def command(run: Reported) -> str:
 def _decimation(run: Reported, named: bool) -> str:
     """Return a description of the decimation of the bag's rows."""
     history = run.history
-    curves = f"Curves go through all {history.rows} rows that were recorded"
+    curves = f"Curves show all {history.rows} recorded rows"
     if history.width > 1:
         curves = (
-            f"Of the {history.rows} rows that were recorded, curves have the least and the largest "
-            f"value of every {history.width}, in the order in which they came: no peak is lost, "
-            "only when within these rows it was"
+            f"Of the {history.rows} recorded rows, curves show the smallest and the largest value "
+            f"of every {history.width}, in their order: no peak is lost, but its time is exact "
+            "only to within these rows"
         )
     who = f"{run.name}: " if named else ""
     return f"{who}{curves}. The formation is shown at {len(history.frame_time)} of them."

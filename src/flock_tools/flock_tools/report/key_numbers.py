@@ -25,8 +25,8 @@ COLUMNS = tuple(
         "spread σ<sub>U</sub> (U<sub>min</sub>)",
         "drag saved (%)",
         "spacing falls to the leader",
-        "off the linear law",
-        "off the exact state (b)",
+        "deviation from the linear law",
+        "deviation from the exact state (b)",
         "steady speed U* (U<sub>min</sub>)",
         "steady drag saved (%)",
         "leading eigenvalue (U<sub>min</sub>/b)",
@@ -145,7 +145,7 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
         (
             "drag saved",
             Markup("{} <small>%</small>").format(f"{100.0 * metrics.mean_drag_reduction[0]:.2f}"),
-            "mean of the birds, of D₀",
+            "mean of the birds, relative to D₀",
         ),
     ]
     if assessment is None or not assessment.state.exists[0]:
@@ -155,10 +155,10 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
     if metrics.birds > 1:
         order = f"spacing {falls} to the leader" if metrics.leader > 2 else ""
         off = Markup("{} <small>b</small>").format(f"{_off(run, 0):.1e}")
-        told.append(("off the exact steady state", off, order))
+        told.append(("deviation from the exact steady state", off, order))
     error = metrics.profile_error[0]
     if error is not None:
-        told.append(("off the linear law", Markup(f"{error:.1e}"), "of D/C = 1 − i/N"))
+        told.append(("deviation from the linear law", Markup(f"{error:.1e}"), "of D/C = 1 − i/N"))
     if not np.isnan(leading):
         rate = Markup("{} <small>U<sub>min</sub>/b</small>").format(f"{leading.real:.2e}")
         firm = "stable" if assessment.stable[0] else "unstable"

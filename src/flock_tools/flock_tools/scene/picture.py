@@ -88,7 +88,7 @@ def draw_scene(shown: Scene) -> Figure:
         saved = ScalarMappable(saved_scale(shown.snapshot.saved), DRAG_SAVED)
         _bar(figure, 0.07, saved, "drag reduction $\\eta_i$ (%)")
         air = ScalarMappable(Normalize(-shown.most_upwash, shown.most_upwash), UPWASH)
-        _bar(figure, 0.57, air, "air goes up (m/s)")
+        _bar(figure, 0.57, air, "upward air speed (m/s)")
     return figure
 
 

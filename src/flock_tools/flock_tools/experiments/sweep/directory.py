@@ -148,7 +148,7 @@ class SweepDirectory:
                 f"({PLAN_FILE} differs): add --force to replace it, or name another --output"
             )
         elif names:
-            raise FlockError(f"output {self.path} exists and is not a sweep: name another --output")
+            raise FlockError(f"output {self.path} exists and holds no sweep: name another --output")
         self.write(file, plan.encode())
 
     def _replace(self, names: set[str]) -> None:

@@ -76,7 +76,7 @@ function drawProfile() {
   const [exactly, linearly] = [row(run().off_exact, member), row(run().off_linear, member)];
   const farthest = (off, what) => {
     const most = bounds(off)[1];
-    return Number.isFinite(most) ? `at most ${told(most, 2)} b off ${what}` : `${what} is none`;
+    return Number.isFinite(most) ? `at most ${told(most, 2)} b from ${what}` : `no values of ${what}`;
   };
   const words = run().birds === 1 ? "A single bird has no spacings."
     : `Final spacings: ${farthest(exactly, "the exact steady state")}; ${farthest(linearly, "the linear law")}.`;
@@ -88,7 +88,7 @@ function drawProfile() {
       { x: gaps, y: shown(linearly), colour: css("--alarm"), mark: 2 }],
     log: true, what: "gap i, between birds i and i + 1", whole: true,
   });
-  table("residual", ["gap", "off the exact steady state", "off the linear law"],
+  table("residual", ["gap", "from the exact steady state", "from the linear law"],
     gaps.map((gap, k) => [gap, told(exactly[k]), told(linearly[k])]));
   say("residual", words);
 }
@@ -102,7 +102,7 @@ function drawEigenvalues() {
     range(real.length).map((k) => [k + 1, told(real[k]), told(imaginary[k])]));
   const known = real.length > 0 && Number.isFinite(real[0]);
   const words = known ? `${real.length} eigenvalues; the largest real part is ${told(real[0], 4)}: ` +
-    `disturbances ${real[0] < 0 ? "fade" : "do not fade"}.` : "There is no steady state whose eigenvalues are known.";
+    `disturbances ${real[0] < 0 ? "decay" : "do not decay"}.` : "No eigenvalues of a steady state are known.";
   say("eigenvalues", words);
   element("eigenvalues-words").textContent = words;
 }
@@ -209,7 +209,7 @@ function tellFormation(scene, [low, high], best) {
   element("time").setAttribute("aria-valuetext", time);
   element("best").textContent = `${told(best, 3)} % saved`;
   const ends = bounds(scene.along);
-  say("formation", `${birds} birds from above at ${time}; from the first to the last they are ` +
+  say("formation", `${birds} birds from above at ${time}; the first and the last bird are ` +
     `${told(ends[1] - ends[0], 4)} b apart along the flight.`);
   table("formation", ["bird", "lateral (b)", "along the flight (b)", "drag saved (%)"],
     range(birds).map((i) => [i + 1, told(scene.across[i], 5), told(scene.along[i], 5), told(scene.saved[i], 4)]));
