@@ -21,9 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = 88
 """Width of the help, in characters: what a page shows without scrolling."""
 
-WHENCE = (
-    "<!-- Written by tools/generated_docs.py (make docs): change what it is made from instead. -->"
-)
+WHENCE = "<!-- Written by tools/generated_docs.py (make docs): change its sources instead. -->"
 
 
 def tools_page() -> str:

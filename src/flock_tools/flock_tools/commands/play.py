@@ -16,8 +16,8 @@ Publish the recorded messages again: the same bytes, by their log time, on the s
 the recorded quality of service. Every rosbag2 bag of MCAP files can be played, compressed or not.
 Messages whose type belongs to no installed package, or which do not fit the type of their topic,
 are left out, and a note names them. After --start or a seek, the last earlier messages of latched
-topics are published first. /clock is played if it was recorded, as in every bag of Flock; the
-player has no clock of its own.
+topics are published first. /clock is played if it was recorded, as in every bag of Flock;
+otherwise the player publishes none.
 
 On a terminal: space pauses, the right arrow plays the next message in a pause, up and down change
 the rate by a tenth, q ends it. The node /flock/player has the services of rosbag2's player:

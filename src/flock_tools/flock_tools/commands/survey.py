@@ -42,7 +42,7 @@ SPREADS = "0.0025,0.005,0.0075,0.01,0.015,0.02,0.03,0.04,0.06"
 SAMPLES = "10000"
 
 DESCRIPTION = """\
-Generate random flocks in which every bird has another span ratio, and count how many can fly in
+Generate random flocks whose birds have different span ratios, and count how many can fly in
 formation. The result is their fraction against the spread of span ratios, with 95 % confidence
 intervals, and the fraction of flocks that can't, for each position of the smallest bird, from the
 tail to the leader. The same seed gives the same flocks, on any number of workers."""

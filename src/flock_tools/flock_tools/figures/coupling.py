@@ -27,7 +27,7 @@ COLOURS = {HOLD: VERMILLION, LINEAR: BLUE}
 MARKERS = {HOLD: "s", LINEAR: "o"}
 LINES = {HOLD: "-", LINEAR: "--"}
 
-LAG = "age of what birds know (b/$U_{min}$)"
+LAG = "age of neighbour data (b/$U_{min}$)"
 
 
 def draw_study(delayed: Sequence[Delayed], limits: Sequence[Held], critical: float) -> Figure:
@@ -52,7 +52,7 @@ def draw_study(delayed: Sequence[Delayed], limits: Sequence[Held], critical: flo
         bottom[1].set_title(f"(e) {BIRDS} geese, linear")
         bottom[2].set_title(f"(f) {BIRDS} geese, linear")
         for axes in bottom:
-            axes.set_ylabel(f"span ratio $\\lambda_{MODIFIED}$ that stays")
+            axes.set_ylabel(f"stable span ratio $\\lambda_{MODIFIED}$")
         for axes in (*top, *bottom):
             axes.grid(visible=True)
             axes.legend(loc="best", fontsize=SMALL)
@@ -122,7 +122,7 @@ def _moved_lossy(axes: Axes, limits: Sequence[Held]) -> None:
             label="loss" if end is min else None,
         )
     axes.set(
-        xlabel="part of the messages that arrive",
+        xlabel="fraction of messages that arrive",
         xscale="log",
         ylim=(SPAN_RATIOS[LINEAR][0], SPAN_RATIOS[LINEAR][-1]),
     )

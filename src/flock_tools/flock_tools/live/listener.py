@@ -114,9 +114,9 @@ def first_sample(
         if time.monotonic() > deadline:
             if sample is not None:
                 return watcher.view.sample(watcher.birds, member)
-            heard = f"only birds {sorted(watcher.birds)}" if watcher.birds else "no flock"
+            found = f"only birds {sorted(watcher.birds)}" if watcher.birds else "no flock"
             raise RunFailed(
-                f"{heard} found within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
+                f"{found} found within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
                 f" fly or play one there, set {DOMAIN} to its domain, or give a longer --timeout"
             )
         executor.spin_once(timeout_sec=0.1)

@@ -163,7 +163,7 @@ def _playable(
             kind = its_kind
             chosen.append(stream)
         else:
-            reasons.append(f"its messages of type {stream.type}: only {chosen[0].type} is played")
+            reasons.append(f"its messages of type {stream.type}, since {chosen[0].type} is played")
     if kind is None:
         return None, list(dict.fromkeys(reasons))
     told = {
