@@ -6,7 +6,7 @@ WORKERS = $(shell nproc)
 
 .PHONY: setup demo test test-kilted torture lint docs bench figures clean help
 
-setup:  ## build .venv and the workspace where missing or stale (all other targets do this first)
+setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
 
 demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure and report on them
