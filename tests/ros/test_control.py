@@ -22,7 +22,7 @@ from support.bags import assert_begins_as, assert_equal, last_step
 from support.terminal import Job, Terminal
 from support.visitor import Visitor, values
 
-STEPS = 30000  # so long that no flight ends before it is asked for something: nobody would answer
+STEPS = 60000  # so long that no flight ends before it is asked for something: nobody would answer
 EVERY = 40
 FLOCK = ("--birds", 2, "--t-max", STEPS, "--record-every", EVERY, "--span-ratio", "2=0.97,1.03")
 STATES = 2 * (STEPS // EVERY + 1)
@@ -39,6 +39,15 @@ CLOCK_KEYS = {
     "ignored",
 }
 RECORDER_KEYS = {"saved", "epoch", "ignored"}
+
+
+@pytest.fixture(autouse=True)
+def prepared(visitor: Visitor) -> None:
+    """Look for the services from the start: a flight may be over before they are found."""
+    for name in ("pause", "resume", "stop"):
+        visitor.client(Trigger, f"/flock/clock/{name}")
+    visitor.client(Step, "/flock/clock/step")
+    visitor.client(Perturb, "/flock/clock/perturb")
 
 
 def in_flight(terminal: Terminal, *how: object) -> Job:

@@ -227,5 +227,16 @@ def test_a_bird_that_waits_takes_all_messages_of_the_neighbours_that_have_spoken
             bird.drain()
             bird.drain_rare()
         assert bird.protocol.ignored_for == {"of another run": flood, AGAIN: 1}
+        # Messages of any other size come too: one look takes all that have arrived.
+        long = np.append(one, 1.0)
+        for _ in range(flood):
+            said.publish(Stage(RUN + 1, 0, 1, 1, 1, long, long, long).encode())
+        looks = 0
+        while bird.protocol.ignored < 2 * flood + 1:
+            assert time.monotonic() < deadline, bird.protocol.ignored_for
+            before = bird.protocol.ignored
+            bird.drain_rare()
+            looks += bird.protocol.ignored > before
+        assert looks < flood // 10
         assert bird.protocol.missing == [3]
         assert stage_numbers(bird.protocol._inbox.heard[1, 0], 2)[0].tolist() == [1.0, 1.0]

@@ -40,6 +40,7 @@ class Visitor:
             "visitor", context=context, start_parameter_services=False, enable_rosout=False
         )
         self._terminal = terminal
+        self._clients: dict[str, Any] = {}
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
 
@@ -59,14 +60,17 @@ class Visitor:
 
     def ask(self, kind: Any, name: str, **request: Any) -> Any:
         """Call a service, and return its response."""
-        client = self.node.create_client(kind, name)
-        try:
-            assert client.wait_for_service(DEADLINE), f"{name}: {self._what_is_known()}"
-            future = client.call_async(kind.Request(**request))
-            self.until(future.done)
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        client = self.client(kind, name)
+        assert client.wait_for_service(DEADLINE), f"{name}: {self._what_is_known()}"
+        future = client.call_async(kind.Request(**request))
+        self.until(future.done)
+        return future.result()
+
+    def client(self, kind: Any, name: str) -> Any:
+        """Return the client of a service, which is made at the first call."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        return self._clients[name]
 
     def stop(self, *jobs: Job) -> None:
         """Have the clock of `jobs` stop the flight. All jobs must end without an error.

@@ -15,6 +15,7 @@ from flock_sim.launcher.exit_status import WHY, ended, failed
         (0, "ended before the flight was over"),
         (-signal.SIGKILL, "was killed by SIGKILL"),
         (-signal.SIGSEGV, "was killed by SIGSEGV"),
+        (-40, "was killed by signal 40"),
         (128 + signal.SIGTERM, "ended with status 143"),
     ],
 )

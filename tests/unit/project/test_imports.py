@@ -58,6 +58,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_the_kernels_of_a_bird_are_loaded_before_processes_are_forked() -> None:
+    script = (
+        "from flock_sim.launcher.precompile import warm_bird, warm_exchange\n"
+        "warm_bird()\n"
+        "from flock_sim.protocol import bird_kernel, stage_words\n"
+        "kernels = [*vars(bird_kernel).values(), *vars(stage_words).values()]\n"
+        "print(*(k.__name__ for k in kernels if getattr(k, 'signatures', ()) == []))"
+    )
+    # These are called by other kernels only.
+    inner = {"has_header", "put_header", "row", "_finite", "_lack", "pointer"}
+    inner |= {"drag_of_pair", "acceleration", "circulation_at", "stage_value"}
+    assert set(python(script).split()) <= inner
+
+
 def test_help_needs_none_of_them() -> None:
     assert {"fly", "metrics", "limits", "sweep", "watch"} <= TOOLS.keys()
     found = imports(*((module, "--help") for module in WITHOUT_ROS))

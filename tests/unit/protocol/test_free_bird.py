@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
+from flock_sim.messages.epochs import REACH
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import AGAIN, FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.types import ARRAYS, Ages, Checkpoint, Grant, Progress, Stage, State, Wing
@@ -202,6 +203,23 @@ def test_it_begins_when_all_are_there_and_goes_no_further_than_its_leave() -> No
     assert not bird.released
     bird.receive_grant(grant(flown, 21))
     assert bird.released
+
+
+@pytest.mark.parametrize(
+    "distance", [-5, -REACH, -REACH - 1, REACH + 1, -(2**30), 2**30, 2**31 - 1, 2**31]
+)
+def test_a_free_flight_is_not_ended_by_forged_epochs_out_of_reach_or_out_of_date(
+    distance: int,
+) -> None:
+    flown, epoch = FlockConfiguration(birds=2, t_max=20.0), 2**31 + 3
+    bird = ready(1, flown)
+    bird.receive_grant(grant(flown, 0, epoch))
+    bird.receive_grant(grant(flown, 0, epoch))  # from EPOCH it is out of reach
+    bird.receive_grant(grant(flown, 20, epoch))
+    assert bird.in_flight
+    for _ in range(5):
+        assert bird.receive_grant(grant(flown, 0, (epoch + distance) % 2**32)) == []
+    assert bird.ignored == 1 + 5
 
 
 def test_a_new_epoch_before_the_start_changes_nothing_and_after_it_ends_the_flight() -> None:

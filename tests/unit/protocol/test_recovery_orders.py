@@ -188,6 +188,27 @@ def test_a_bird_whose_epoch_was_begun_without_it_asks_for_another_one() -> None:
     assert ticks(bird.receive_grant(keeper.grant)) == [(2, 5, 0)]
 
 
+def test_a_second_process_of_a_bird_that_is_always_later_asks_ever_more_rarely() -> None:
+    twin = BirdProtocol(1, TWO, incarnation=1)
+    twin.receive_wing(Wing(RUN, 2, np.ones(1)))
+    asked = set()
+    for epoch in range(2, 102):  # in each, the first process reports, and the clock grants
+        twin.receive_grant(grant(0, epoch))
+        twin.receive_grant(grant(8, epoch))
+        twin.receive_checkpoint(checkpoint(5, epoch))
+        asked |= {Progress.decode(data).life for _, data in twin.report()}
+    assert len(asked) == 7  # 1, 2, 4 ... 64
+
+
+def test_forged_checkpoints_do_not_keep_out_the_true_one() -> None:
+    bird = BirdProtocol(1, TWO)
+    bird.receive_wing(Wing(RUN, 2, np.ones(1)))
+    bird.receive_grant(grant(0, 2))
+    for epoch in range(3, 40):
+        bird.receive_checkpoint(checkpoint(5, epoch))
+    assert ticks(bird.receive_checkpoint(checkpoint(5, 2))) == [(2, 5, 0)]
+
+
 def test_an_epoch_beyond_belief_is_joined_when_it_is_said_again() -> None:
     bird = bird_one()
     assert bird.receive_checkpoint(checkpoint(5, 2 + REACH)) == []

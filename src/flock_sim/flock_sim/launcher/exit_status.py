@@ -23,4 +23,7 @@ def ended(status: int) -> str:
         return "ended before the flight was over"
     if status > 0:
         return f"ended with status {status}"
-    return f"was killed by {signal.Signals(-status).name}"
+    try:
+        return f"was killed by {signal.Signals(-status).name}"
+    except ValueError:  # a real-time signal
+        return f"was killed by signal {-status}"

@@ -28,7 +28,7 @@ def warm_reference(*links: str) -> None:
 
 def warm_bird() -> None:
     """Do the same with the kernels of a bird whose links are plain."""
-    from flock_sim.messages.types import Checkpoint, Grant, Wing
+    from flock_sim.messages.types import Checkpoint, Grant, Stage, Wing
     from flock_sim.protocol.bird import BirdProtocol
 
     alone = FlockConfiguration(birds=1, t_max=1.0)
@@ -41,6 +41,8 @@ def warm_bird() -> None:
     bird.receive_grant(Grant(run_id=1, step=0, end=2, dt=1.0, epoch=1))
     bird.receive_checkpoint(Checkpoint.of_start(run_id=1, epoch=1))
     bird.receive_wing(Wing(1, 2, configuration.span_ratio[1]))
+    one = np.ones(1)
+    bird.receive_stage(Stage(1, 0, 1, 2, 0, one, one, one).encode())
 
 
 def warm_links(configuration: FlockConfiguration | None = None) -> None:

@@ -123,9 +123,10 @@ class BirdNode(DrainedNode):
         """Take all other messages: stages not waited for, and wings before the flight."""
         if self._exchange and self._lockstep.on_fast_path:
             moved = self._after(self._exchange.look_through)
-            self._lockstep.count_foreign()
         else:
             moved = self._take_all_stages()
+        if self._exchange:
+            self._lockstep.count_foreign()
         if not self.protocol.in_flight:
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
@@ -182,13 +183,12 @@ class BirdNode(DrainedNode):
     def _after(self, exchange: Callable[[], int]) -> bool:
         """Exchange stages, and do what they need beyond that; return whether anything came."""
         protocol = self._lockstep
-        before = protocol.tick
-        outcome = exchange()
-        moved = protocol.tick > before
+        before, accepted = protocol.tick, False
+        while (outcome := exchange()) == STRANGE:
+            accepted |= self._take_stage(strange())
+        moved = accepted or protocol.tick > before
         if outcome == OVER:
             self._send(protocol.advance())
-        elif outcome == STRANGE:
-            moved |= self._take_stage(strange())
         elif outcome == FAILED:
             moved |= self._take_missing()
         elif outcome == UNSENT:

@@ -17,7 +17,7 @@ from flock_sim.console.signals import Stop
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
-from flock_sim.messages.epochs import ahead
+from flock_sim.messages.epochs import ahead, out_of_reach
 from flock_sim.messages.rejection import MALFORMED
 from flock_sim.nodes.clock_services import Control
 from flock_sim.protocol.clock import Message, Timekeeper
@@ -135,6 +135,8 @@ class ClockNode(Node):
             return
         ours = self.keeper.grant
         if self._led or (grant.run_id, grant.terms) != (ours.run_id, ours.terms):
+            return
+        if out_of_reach(grant.epoch, ours.epoch):
             return
         later = ahead(grant.epoch, ours.epoch)
         if later > 0 or (later == 0 and grant.step > ours.step):

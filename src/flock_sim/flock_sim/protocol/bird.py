@@ -68,6 +68,7 @@ class BirdProtocol(Listener):
         """Whether this bird exchanges stages: the checkpoint and every wing are known."""
         self._start = 0  # the step of the checkpoint; -1 if its state is not on disk
         self._began = 0  # the tick at which this bird began the epoch
+        self._waits = 0  # reports of this bird while its epoch had begun without it
         self._held = False  # at a step's beginning, own values known, not granted
         self._pushes: dict[int, list[Perturbation]] = {}  # of this bird, by step
         self._checkpoints = Checkpoints(bird, configuration, self._session)
@@ -159,7 +160,9 @@ class BirdProtocol(Listener):
             return []  # no run is known yet
         self._session.hear_nothing()
         if self._begun_without_it:
-            self._session.reincarnate()
+            self._waits += 1
+            if self._waits.bit_count() == 1:  # ever more rarely: another process may fly this bird
+                self._session.reincarnate()
         self._plan()
         return [self._progress(self._reached), *self.last_said]
 

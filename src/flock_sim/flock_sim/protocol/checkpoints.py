@@ -41,7 +41,7 @@ class Checkpoints:
         if len(self._kept) > EARLY:
             oldest = next(key for key in self._kept if key != self._session.now)
             del self._kept[oldest]
-            return FOREIGN
+            return "" if key == self._session.now else FOREIGN
         return ""
 
     def forget_old(self) -> None:

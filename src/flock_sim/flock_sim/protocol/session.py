@@ -139,6 +139,8 @@ class Session:
         """
         if not out_of_reach(epoch, self.epoch):
             return ""
+        if self._factor and self._granted > 0:
+            return REPEATED  # a free flight joins no other epoch
         doubted, self._doubted = self._doubted, epoch
         again = doubted != NEVER and not out_of_reach(epoch, doubted)
         return "" if again else REPEATED
