@@ -91,7 +91,7 @@ def test_a_free_flight_is_recorded_and_measured_and_near_the_lockstep_one(
     assert again == metrics
     resumed = terminal.run("fly", "--resume", "bag")
     assert resumed.status == 2
-    assert "flown freely, and what its birds knew is gone" in resumed.stderr
+    assert "a free flight, and the messages that its birds had received are lost" in resumed.stderr
 
 
 def test_who_is_killed_ends_a_free_flight(terminal: Terminal) -> None:

@@ -94,7 +94,7 @@ def test_a_bird_of_another_flight_is_refused_by_name(terminal: Terminal, flock: 
     done = terminal.run("bird", "--ros-args", *other)
     assert done.status == 2
     assert done.error == (
-        "error: bird_01 is to fly t_max = 100.0 and not 200.0 as the clock does: "
+        "error: bird_01 has t_max = 100.0 where the clock has 200.0: "
         "give both the same configuration"
     )
     clock.send(signal.SIGINT)
@@ -107,7 +107,7 @@ def test_a_bird_of_other_wings_is_refused_by_name(terminal: Terminal, flock: Pat
     (terminal.directory / "other.yaml").write_text(text)
     done = terminal.run("bird", "--ros-args", "-p", "index:=1", "--params-file", "other.yaml")
     assert done.status == 2
-    assert 'bird_01 is to fly span_ratios = ["2=0.97"] and not ["2=0.97,1.02"]' in done.error
+    assert 'bird_01 has span_ratios = ["2=0.97"] where the clock has ["2=0.97,1.02"]' in done.error
     assert "the same configuration" in done.error
     clock.send(signal.SIGINT)
     clock.wait()
@@ -199,7 +199,7 @@ def test_a_second_clock_leaves_the_flock_to_the_first(terminal: Terminal, visito
     until_further(terminal, jobs["recorder"])
     done = start_endless(terminal, "clock").wait()
     assert done.status == 2
-    assert re.search(r"another clock leads run \d+: end it first", done.error)
+    assert re.search(r"another clock controls run \d+: end it first", done.error)
     until_further(terminal, jobs["recorder"])
     visitor.stop(*jobs.values())
     assert_stopped_as_the_reference(terminal, 3, EVERY, "--config", "endless.yaml")

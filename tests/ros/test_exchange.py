@@ -117,11 +117,11 @@ class Forging(Observed):
         other = self.random.choice(self.names)
         one = np.ones(CONFIGURATION.members)
         three, long = (one, one, one), (one, one, np.append(one, 1.0))
-        out_of_reach = "for a stage already passed or out of reach"
+        out_of_reach = "for a step or stage that is over or too far ahead"
         reason, forgery = self.random.choice(
             [
                 ("of another run", (run_id ^ 1, step, epoch, other, number, *three)),
-                ("of a wrong length", (run_id, step, epoch, other, number, *long)),
+                ("with a wrong length", (run_id, step, epoch, other, number, *long)),
                 ("not from a neighbour", (run_id, step, epoch, 99, number, *three)),
                 ("of an epoch that is over", (run_id, step, epoch - 1, other, number, *three)),
                 (out_of_reach, (run_id, CONFIGURATION.steps, epoch, other, number, *three)),

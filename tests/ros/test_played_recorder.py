@@ -20,7 +20,7 @@ from support.visitor import Visitor
 
 FLOCK = ("--birds", 3, "--t-max", 2000, "--record-every", 2, "--span-ratio", "1=0.98,1.0")
 GIVEN = ("birds:=3", "t_max:=2000.0", "record_every:=2", "span_ratios:=['1=0.98,1.0']")
-HEARD = "all birds and /clock are heard"
+HEARD = "the topics of all birds and /clock are found"
 NO_PUSH = Push(0, 10, 0.1, 0.0, number=1, bird=4, member=1)
 """A push that no flight of three birds can have."""
 
@@ -77,7 +77,11 @@ def test_a_played_flight_over_bad_links_is_recorded_with_its_pushes(
     ("given", "status", "words"),
     [
         (("span_ratios:=['1=0.9,1.0']",), 2, "is played with span ratio [0.98 1.  ]"),
-        (GIVEN[3:], 1, "step 1 was not heard: start the recorder first, then play the whole bag"),
+        (
+            GIVEN[3:],
+            1,
+            "step 1 was not received: start the recorder first, then play the whole bag of a",
+        ),
     ],
 )
 def test_another_flight_than_was_told_is_no_bag(

@@ -188,7 +188,7 @@ def test_nodes_started_by_hand_obey_their_sections(terminal: Terminal) -> None:
     first = terminal.start("bird", *words, "-p", "index:=1")
     done = terminal.run("bird", *words, "-p", "index:=2")
     assert done.status == 2
-    assert "bird_02 is to fly dt = 0.5 and not 1.0 as the clock does" in done.error
+    assert "bird_02 has dt = 0.5 where the clock has 1.0" in done.error
     assert terminal.run("bird", *words, "-p", "index:=2", "-p", "dt:=1.0").status == 0
     assert [job.wait().status for job in (clock, first)] == [0, 0]
 

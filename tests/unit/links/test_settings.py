@@ -141,5 +141,5 @@ def test_memories_lie_in_a_row_by_bird():
 def test_who_flies_over_other_links_does_not_agree():
     configuration = FlockConfiguration(links=("hold:interval=10",))
     check_handshake("bird_01", configuration, handshake(configuration))
-    with pytest.raises(FlockError, match=r'bird_01 is to fly links = \["hold:interval=10"\]'):
+    with pytest.raises(FlockError, match=r'bird_01 has links = \["hold:interval=10"\]'):
         check_handshake("bird_01", configuration, handshake(FlockConfiguration()))

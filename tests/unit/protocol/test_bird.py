@@ -145,7 +145,7 @@ def test_a_bird_waits_for_the_checkpoint_once_it_knows_its_neighbours():
     bird, _, configuration = pair()
     bird.receive_grant(grant(0, configuration))
     bird.receive_wing(Wing(RUN, 2, np.ones(1)))
-    assert bird.waiting_for.startswith("the checkpoint to go on from")
+    assert bird.waiting_for.startswith("the checkpoint to continue from")
     assert not bird.in_flight
 
 
@@ -197,7 +197,7 @@ def test_a_bird_holds_at_the_step_that_it_was_granted():
     bird = BirdProtocol(1, configuration)
     start(bird, 0, configuration)
     assert (bird.step, bird.finished) == (0, False)
-    assert bird.waiting_for == "the clock's leave to go beyond step 0"
+    assert bird.waiting_for == "the clock's grant beyond step 0"
     out = bird.receive_grant(grant(5, configuration))
     assert [State.decode(data).step for data in of(Channel.STATE, out)] == [1, 2, 3, 4, 5]
     assert len(of(Channel.STAGE, out)) == 4 * 5
@@ -344,7 +344,9 @@ def test_what_a_bird_sent_does_not_change_when_it_flies_on():
 @pytest.mark.parametrize("change", [{"dt": 0.5}, {"end": 9}])
 def test_a_clock_of_another_flight_is_refused(change):
     configuration = configured()
-    with pytest.raises(FlockError, match=r"bird_02 8 of 1: give both the same configuration"):
+    with pytest.raises(
+        FlockError, match=r"bird_02 has 8 steps of dt = 1: give both the same configuration"
+    ):
         BirdProtocol(2, configuration).receive_grant(grant(0, configuration, **change))
 
 
@@ -352,7 +354,9 @@ def test_a_clock_of_another_flight_is_refused_by_name():
     # What the clock's terms say goes before dt and end.
     configuration = configured()
     other = configured(coupling="all", t_max=9.0)
-    with pytest.raises(FlockError, match=r'bird_02 is to fly coupling = "nearest" and not "all"'):
+    with pytest.raises(
+        FlockError, match=r'bird_02 has coupling = "nearest" where the clock has "all"'
+    ):
         BirdProtocol(2, configuration).receive_grant(
             grant(0, configuration, end=9, terms=handshake(other))
         )

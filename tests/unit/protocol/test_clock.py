@@ -51,7 +51,7 @@ def test_nobody_may_go_before_all_are_there() -> None:
     assert granted(reach(keeper, 0, "bird_01")) == []
     assert granted(reach(keeper, 0, "bird_02")) == []
     assert keeper.waiting_for == ["recorder"]
-    assert keeper.where == "to begin"
+    assert keeper.where == "before the start"
     assert granted(reach(keeper, -1, "recorder")) == [4]
 
 
@@ -208,7 +208,7 @@ def test_a_push_by_nothing_is_refused() -> None:
     # It would cost the flock a rewind.
     keeper = clock(record=True)
     reach(keeper, 0, *BIRDS, "recorder")
-    with pytest.raises(FlockError, match="push nobody"):
+    with pytest.raises(FlockError, match="change nothing"):
         keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=0.0)
     assert keeper.rewinds.count == 0
     assert keeper.perturb(bird=1, member=1, step=10, position=0.0, speed=1e-3)[0] == 10

@@ -195,7 +195,7 @@ def test_it_begins_when_all_are_there_and_goes_no_further_than_its_leave() -> No
         out = bird.tick(max(bird.due, BEGIN))
     assert bird.step == 7
     assert Progress.decode(of(Channel.PROGRESS, out)[0]).step == 6  # so that leave is renewed
-    assert "leave to go beyond step 7" in bird.waiting_for
+    assert "grant beyond step 7" in bird.waiting_for
     bird.receive_grant(grant(flown, 20))
     while bird.due < math.inf:
         bird.tick(bird.due)
@@ -233,7 +233,7 @@ def test_a_new_epoch_before_the_start_changes_nothing_and_after_it_ends_the_flig
     # One message is not enough: a clock that begins anew says so every second.
     assert bird.receive_grant(grant(flown, 0, EPOCH + 2)) == []
     assert bird.ignored_for == {STALE: 1, REPEATED: 1}
-    with pytest.raises(RunFailed, match=r"bird_01: .* fly it anew"):
+    with pytest.raises(RunFailed, match=r"bird_01: .* fly again"):
         bird.receive_grant(grant(flown, 0, EPOCH + 2))
 
 

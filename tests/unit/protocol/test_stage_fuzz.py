@@ -159,10 +159,10 @@ def test_a_million_forgeries_change_no_bit_and_are_counted() -> None:
     assert set(bird.ignored_for) == {
         "of another run",
         "not from a neighbour",
-        "of a wrong length",
+        "with a wrong length",
         "of an epoch that is over",
-        "for a stage already passed or out of reach",
-        "that were heard before",
+        "for a step or stage that is over or too far ahead",
+        "that were received before",
     }
 
 

@@ -25,7 +25,7 @@ def test_a_wait_ends_and_says_what_it_waited_for(monkeypatch: pytest.MonkeyPatch
     for _ in range(79):
         hours.now += 0.1
         watchdog.wait(lambda: "waiting for bird_02")
-    assert said == ["waiting for bird_02, for 4 s more"]
+    assert said == ["waiting for bird_02 (timeout in 4 s)"]
     hours.now += 0.2
     with pytest.raises(RunFailed, match="no progress for 8 s, waiting for bird_02"):
         watchdog.wait(lambda: "waiting for bird_02")

@@ -50,16 +50,13 @@ def check_handshake(
         raise ValueError("terms: not an object")
     ours = json.loads(expected)
     different = [
-        f"{key} = {_shown(ours.get(key))} and not {_shown(theirs.get(key))}"
+        f"{key} = {_shown(ours.get(key))} where the clock has {_shown(theirs.get(key))}"
         for key in {**ours, **theirs}
         if ours.get(key) != theirs.get(key)
     ]
     if not different:
         return
-    raise FlockError(
-        f"{who} is to fly {', '.join(different)} as the clock does: "
-        "give both the same configuration"
-    )
+    raise FlockError(f"{who} has {', '.join(different)}: give both the same configuration")
 
 
 def _shown(value: object) -> str:

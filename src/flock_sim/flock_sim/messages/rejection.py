@@ -3,9 +3,9 @@
 
 FOREIGN = "of another run"
 STRANGE = "not from a neighbour"
-MISSHAPEN = "of a wrong length"
+MISSHAPEN = "with a wrong length"
 MALFORMED = "that can't be read"
 STALE = "of an epoch that is over"
-AGAIN = "that were heard before"
-REPEATED = "for a stage already passed or out of reach"
-IMPOSSIBLE = "with values that the sender can't have"
+AGAIN = "that were received before"
+REPEATED = "for a step or stage that is over or too far ahead"
+IMPOSSIBLE = "with invalid values"

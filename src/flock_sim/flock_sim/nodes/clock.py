@@ -103,7 +103,7 @@ class ClockNode(Node):
             raise RunFailed(NO_WAY_BACK)
         if self._rival.leads:
             raise FlockError(
-                f"another clock leads run {self.keeper.run_id}: end it first, or give this one "
+                f"another clock controls run {self.keeper.run_id}: end it first, or give this one "
                 "another run_id"
             )
         self._led |= self.keeper.begun and not self._rival.heard

@@ -40,9 +40,9 @@ def work(process: Process) -> None:
 
 _main = run_node(
     "clock",
-    "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are there,\n"
-    "grants steps, tells the simulated time, and ends with the flight. If it dies and is started\n"
-    "again with the same parameters, the flight goes on.\n\n"
+    "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are present,\n"
+    "grants steps, publishes the simulated time, and ends with the flight. If it is killed and\n"
+    "started again with the same parameters, the flight continues.\n\n"
     f"parameters: window ({OPERATION['window'].default}; 1 is lockstep), "
     "record (true: wait for a recorder), record_stages,\n"
     "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"

@@ -40,13 +40,13 @@ class Control:
 
     def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.resume())
-        return _said(response, "flying on")
+        return _said(response, "the flight continues")
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.stop())
         keeper = self._keeper
-        where = f"at step {keeper.end}" if keeper.begun else "as soon as all are there"
-        return _said(response, f"ending the flight {where}")
+        where = f"at step {keeper.end}" if keeper.begun else "when all nodes are present"
+        return _said(response, f"the flight ends {where}")
 
     def _step(self, request: Step.Request, response: Step.Response) -> Step.Response:
         if request.steps < 1:
@@ -57,9 +57,9 @@ class Control:
     def _pausing(self) -> str:
         keeper = self._keeper
         if keeper.leave_known:
-            return f"pausing at step {keeper.pauses_at}"
-        after = f"{keeper.pausing.steps} steps after " if keeper.pausing.steps else ""
-        return f"pausing {after}where the flight begins or goes on, once all are there"
+            return f"the flight pauses at step {keeper.pauses_at}"
+        after = f"{keeper.pausing.steps} steps after" if keeper.pausing.steps else "at"
+        return f"the flight pauses {after} the step at which it begins or continues"
 
     def _perturb(self, request: Perturb.Request, response: Perturb.Response) -> Perturb.Response:
         try:
@@ -76,7 +76,7 @@ class Control:
 def _refuse(_: object, response: Response) -> Response:
     return _said(
         response,
-        "birds of a free flight step by themselves: nobody can hold or push them; Ctrl-C ends it",
+        "a free flight can't be paused, stepped or perturbed; Ctrl-C ends it",
         success=False,
     )
 

@@ -75,7 +75,7 @@ class PlayedRecorderNode(DrainedNode):
     def waiting_for(self) -> str:
         """What the recorder needs to continue, as text."""
         if not self.connected:
-            return "somebody who plays all birds and /clock"
+            return "a player that publishes all birds and /clock"
         names = ", ".join(topics.bird_name(bird) for bird in self.assembler.waiting_for)
         return (
             f"step {self.assembler.saved + self._configuration.record_every} of {names or '/clock'}"
@@ -122,8 +122,8 @@ class PlayedRecorderNode(DrainedNode):
         told = self._configuration.span_ratio[bird - 1]
         if not np.array_equal(played, told):
             raise FlockError(
-                f"{topics.bird_name(bird)} is played with span ratio {played} and the recorder is "
-                f"told {told}: give it the configuration that was flown"
+                f"{topics.bird_name(bird)} is played with span ratio {played} and the recorder has "
+                f"{told}: give it the configuration of the played flight"
             )
         return self.assembler.add_wing(bird, data)
 
@@ -134,8 +134,8 @@ class PlayedRecorderNode(DrainedNode):
             last = self._heard.get(bird, -every)
             if step > last + every:
                 raise RunFailed(
-                    f"{topics.bird_name(bird)} is at step {step}, and step {last + every} was not "
-                    "heard: start the recorder first, then play the whole bag, of a flight with "
+                    f"{topics.bird_name(bird)} is at step {step}, but step {last + every} was not "
+                    "received: start the recorder first, then play the whole bag of a flight with "
                     f"record_every {every}"
                 )
             self._heard[bird] = max(step, last)
@@ -147,7 +147,7 @@ def check_played(operation: Mapping[str, Any]) -> None:
     for name in ("resume", "record_stages", "real_time_factor", "run_id"):
         if operation[name]:
             raise FlockError(
-                f"{name} = {operation[name]} with played: a flight in lockstep that is played is "
+                f"{name} = {operation[name]} with played: a played flight in lockstep is "
                 f"recorded from its beginning, without stages; leave {name} out"
             )
 
@@ -174,5 +174,5 @@ def record_played(process: Process, output: Path, replace: bool) -> None:
             executor.spin_once(timeout_sec=WAIT)
             if node.connected and not connected:
                 connected = True
-                note("all birds and /clock are heard")
+                note("the topics of all birds and /clock are found")
             watchdog.wait(lambda: f"the recorder waits for {node.waiting_for}")

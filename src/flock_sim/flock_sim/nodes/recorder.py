@@ -168,7 +168,7 @@ class RecorderNode(DrainedNode):
         if not self._joined:
             return ", ".join(self._row_topics.unfound()) or "the clock's perturbation"
         if self.assembler.complete:
-            return "the clock's word that the run is over"
+            return "the clock's message that the run is over"
         names = [topics.bird_name(bird) for bird in self.assembler.waiting_for]
         return ", ".join(names) or "the clock"
 
@@ -267,7 +267,7 @@ class RecorderNode(DrainedNode):
         if not np.array_equal(wing.span_ratio, self._configuration.span_ratio[bird - 1]):
             raise FlockError(
                 f"{topics.bird_name(bird)} flies with span ratio {wing.span_ratio} and the "
-                f"recorder is told {self._configuration.span_ratio[bird - 1]}: give both the same "
+                f"recorder has {self._configuration.span_ratio[bird - 1]}: give both the same "
                 "configuration"
             )
         return self.assembler.add_wing(bird, data)

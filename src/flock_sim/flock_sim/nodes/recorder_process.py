@@ -88,7 +88,7 @@ def _own(process: Process, output: Path, owned: ExitStack) -> tuple[bool, bool]:
         return True, False
     if output.exists() and not operation["force"]:
         raise FlockError(
-            f"output {output} exists: go on with it by -p resume:=true, replace it by "
+            f"output {output} exists: continue it with -p resume:=true, replace it with "
             "-p force:=true, or name another output"
         )
     return False, owned.enter_context(own_output(output, operation["force"])).replaces
@@ -98,10 +98,11 @@ _main = run_node(
     "recorder",
     "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
     "with it.\n\n"
-    "parameters: output (a directory), force (replace what is there) or resume (go on with the\n"
-    "bag that is there, or begin one), played (record what ./flock play publishes, in a bag as\n"
-    "reference writes it; give it the configuration that was flown), record_stages, run_id,\n"
-    "timeout (s without news), executor (events|single), and all keys of the configuration file.",
+    "parameters: output (a directory), force (replace an existing bag) or resume (continue an\n"
+    "existing bag, or begin one), played (record what ./flock play publishes, in a bag as\n"
+    "reference writes it; give it the configuration of the played flight), record_stages, run_id,\n"
+    "timeout (s without progress), executor (events|single), and all keys of the configuration\n"
+    "file.",
     "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml\n"
     "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml\n"
     "  ./flock recorder --ros-args -p output:=runs/again -p played:=true --params-file flock.yaml",

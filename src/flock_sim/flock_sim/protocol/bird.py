@@ -118,13 +118,13 @@ class BirdProtocol(Listener):
         if unknown := self._around.unknown:
             return f"the wing of {', '.join(map(bird_name, unknown))}"
         if not self.in_flight and self._checkpoints.now is None:
-            return "the checkpoint to go on from (the recorder's, or the clock's if none records)"
+            return "the checkpoint to continue from (sent by the recorder, or else the clock)"
         if not self.in_flight:
-            return "the clock to begin anew: this epoch was begun without it"
+            return "a new epoch from the clock: this one began without the bird"
         if self.finished:
-            return "the clock's word that the run is over"
+            return "the clock's message that the run is over"
         if self._held:
-            return f"the clock's leave to go beyond step {self.step}"
+            return f"the clock's grant beyond step {self.step}"
         stage = f"stage {self.tick % STAGES} of step {self.step}"
         return f"{stage} from {', '.join(map(bird_name, self.missing))}"
 

@@ -22,7 +22,7 @@ from flock_sim.messages.types import Checkpoint, Grant, Progress, Push, Time
 from flock_sim.protocol.attendance import ABSENT, Attendance
 from flock_sim.protocol.requests import Window, step_of_push
 
-UNKNOWN = "from nobody of this flock"
+UNKNOWN = "from a node that is not in this flock"
 
 Message = Grant | Time | Checkpoint | Push
 
@@ -172,7 +172,7 @@ class Timekeeper:
     @property
     def where(self) -> str:
         """The position of the run, as text."""
-        return f"at step {self.step} of {self.end}" if self.begun else "to begin"
+        return f"at step {self.step} of {self.end}" if self.begun else "before the start"
 
     @property
     def waiting_for(self) -> list[str]:
@@ -251,12 +251,14 @@ class Timekeeper:
         configuration = self._configuration
         if not self._nodes.recorded:
             raise FlockError(
-                "nothing is recorded, so a push would be forgotten: fly with a recorder"
+                "this flight has no recorder, so a push would be lost: fly with a recorder"
             )
         if not (position or speed):
-            raise FlockError("position = 0 and speed = 0 push nobody: give one of them")
+            raise FlockError(
+                "position = 0 and speed = 0 change nothing: give one of them another value"
+            )
         if not self.begun:
-            raise FlockError("the flock is not flying yet, or again: ask once more when it is")
+            raise FlockError("the flight is starting or recovering: ask again when birds fly")
         step = step_of_push(step, self._window.granted, self.end)
         # The number of the epoch that it begins distinguishes it from pushes of earlier clocks.
         push = Push(self.run_id, step, position, speed, following(self.epoch), bird, member)

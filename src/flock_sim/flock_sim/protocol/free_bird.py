@@ -140,10 +140,10 @@ class FreeBird(Listener):
             names = [bird_name(self.neighbours[k]) for k in unheard]
             return f"the first state of {', '.join(names)}"
         if self.finished:
-            return "the clock's word that the run is over"
+            return "the clock's message that the run is over"
         if math.isinf(self.due):
-            return f"the clock's leave to go beyond step {self.step}"
-        return f"step {self.step} to be due"
+            return f"the clock's grant beyond step {self.step}"
+        return f"the time of step {self.step}"
 
     def receive_checkpoint(self, checkpoint: Checkpoint) -> list[Outgoing]:
         """Do nothing: a free flight uses no checkpoints."""

@@ -8,10 +8,10 @@ from flock_sim.errors import FlockError
 from flock_sim.links.registry import MODELS
 
 NO_WAY_BACK = (
-    "somebody has died and come back, and a free flight can't go back to what was: fly it anew"
+    "a node was started again, and a free flight can't return to an earlier step: fly again"
 )
 
-GONE = "it was flown freely, and what its birds knew is gone"
+GONE = "it is a free flight, and the messages that its birds had received are lost"
 
 
 def check_free(
@@ -25,7 +25,7 @@ def check_free(
     _check_links(configuration)
     if record_stages:
         raise FlockError(
-            "a free flight has no Runge-Kutta stages to record, since birds say one state a step: "
+            "a free flight has no Runge-Kutta stages to record, since birds send one state a step: "
             "leave --record-stages out"
         )
     step = configuration.dt * configuration.second / factor
@@ -41,6 +41,7 @@ def _check_links(configuration: FlockConfiguration) -> None:
     for settings in configuration.link_table.used():
         if not settings.faultless or settings.interval > 1:
             raise FlockError(
-                f"link {settings.text!r}: in a free flight the network itself is late and loses, "
-                f"and every step is sent; leave out all but {MODELS[settings.model].name}"
+                f"link {settings.text!r}: in a free flight the network itself delays and loses "
+                "messages, and birds send every step; leave out all but "
+                f"{MODELS[settings.model].name}"
             )

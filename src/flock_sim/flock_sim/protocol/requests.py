@@ -85,13 +85,13 @@ def step_of_push(step: int, granted: int, end: int) -> int:
     soonest = granted + 1
     if soonest > end:
         raise FlockError(
-            f"too late to push: birds have leave to fly up to step {granted}, where the "
+            f"too late to push: birds already have a grant up to step {granted}, where the "
             "flight ends; fly longer, or push earlier"
         )
     if step and not soonest <= step <= end:
         raise FlockError(
-            f"step = {step}: must be {soonest}..{end}, since birds have leave to fly up "
-            f"to {granted} and the flight ends at {end}; or 0 for as soon as can be"
+            f"step = {step}: must be {soonest}..{end}, since birds already have a grant up "
+            f"to {granted} and the flight ends at {end}; or 0 for the earliest possible step"
         )
     return step or soonest
 

@@ -157,8 +157,9 @@ class Session:
             self.epoch == NEVER and grant.end != configuration.steps
         ):
             raise FlockError(
-                f"the clock flies {grant.end} steps of dt = {grant.dt:g} and {self._who} "
-                f"{configuration.steps} of {configuration.dt:g}: give both the same configuration"
+                f"the clock has {grant.end} steps of dt = {grant.dt:g} and {self._who} has "
+                f"{configuration.steps} steps of dt = {configuration.dt:g}: "
+                "give both the same configuration"
             )
         return ""
 

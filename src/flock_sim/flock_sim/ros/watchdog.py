@@ -59,4 +59,4 @@ class Watchdog:
             )
         if what != self._said:
             self._said = what
-            self._say(f"{what}, for {self._timeout - silence:.0f} s more")
+            self._say(f"{what} (timeout in {self._timeout - silence:.0f} s)")
