@@ -169,7 +169,9 @@ def test_birds_of_one_process_fly_one_flock(tmp_path: Path) -> None:
     _, operation = given("bird", *several, *quick)
     assert (operation["timeout"], operation["indices"]) == (7.0, [1, 2, 3])
     other = by_file(tmp_path / "b.yaml", {"/flock/bird_03": {"dt": 0.5}})
-    with pytest.raises(FlockError, match=r"/flock/bird_03 is to fly dt = 0.5 and the others 1.0"):
+    with pytest.raises(
+        FlockError, match=r"/flock/bird_03 has dt = 0.5 and the other nodes have 1.0"
+    ):
         given("bird", *several, *other)
     wrong = by_file(tmp_path / "c.yaml", {"/flock/bird_03": {"index": 2}})
     with pytest.raises(FlockError, match=r"index = 2 \(in a section for /flock/bird_03\)"):

@@ -182,7 +182,7 @@ def test_a_middleware_that_is_not_installed_is_refused_and_what_is_is_named(monk
     monkeypatch.setenv("RMW_IMPLEMENTATION", asked)
     with pytest.raises(FlockError) as refused:
         prepare_discovery()
-    assert f"RMW_IMPLEMENTATION = {asked}: is not installed here" in str(refused.value)
+    assert f"RMW_IMPLEMENTATION = {asked}: is not installed; unset it" in str(refused.value)
     assert str(refused.value).endswith(": rmw_fastrtps_cpp")
 
 
@@ -227,7 +227,7 @@ def unknown_host(host, port, *rest):
 def test_static_peers_that_are_no_hosts_are_refused(monkeypatch, said):
     monkeypatch.setattr(socket, "getaddrinfo", unknown_host)
     monkeypatch.setenv("ROS_STATIC_PEERS", said)
-    with pytest.raises(FlockError, match=f"ROS_STATIC_PEERS = {said}: .*no host that is known"):
+    with pytest.raises(FlockError, match=f"ROS_STATIC_PEERS = {said}: .*not a known host"):
         prepare_discovery()
 
 
@@ -285,7 +285,7 @@ def test_a_domain_that_is_named_may_be_shared(monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", "231")
     with own_domain(), own_domain():
         assert os.environ["ROS_DOMAIN_ID"] == "231"
-    assert capsys.readouterr().err == "another flight is on ROS domain 231 too\n"
+    assert capsys.readouterr().err == "another flight uses ROS domain 231 too\n"
     with own_domain():
         pass
     assert capsys.readouterr().err == ""

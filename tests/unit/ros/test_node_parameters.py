@@ -91,15 +91,20 @@ def test_the_longest_timeout_is_one_that_nodes_take(file: Path) -> None:
     [
         (
             {ALL: {"birds": 3}, "/flock/bird_03": {"dt": 0.5}},
-            ["/flock/bird_03", "dt = 0.5", "others 1.0", "out of section /flock/bird_03"],
+            [
+                "/flock/bird_03",
+                "dt = 0.5",
+                "the other nodes have 1.0",
+                "out of section /flock/bird_03",
+            ],
         ),
         (
             {"/flock/bird_03": {"birds": 3, "t_max": 50.0}},
-            ["/flock/bird_03", "birds = 3", "others 13"],
+            ["/flock/bird_03", "birds = 3", "the other nodes have 13"],
         ),
         (
             {"/flock/clock": {"birds": 3}},
-            ["/flock/recorder", "birds = 13", "others 3", "give it in section /**"],
+            ["/flock/recorder", "birds = 13", "the other nodes have 3", "give it in section /**"],
         ),
         (
             {ALL: {"birds": 3}, "/**/bird_02": {"span_ratios": ["1=1.1"]}},
@@ -110,7 +115,7 @@ def test_the_longest_timeout_is_one_that_nodes_take(file: Path) -> None:
         ({ALL: {"windows": 1}}, ["'windows'", "did you mean 'window'"]),
         (
             {"/flock/bird_02": {"executor": "single"}, "/flock/bird_01": {"executor": "events"}},
-            ["executor", "/flock/bird_02", "each a process"],
+            ["executor", "/flock/bird_02", "separate processes"],
         ),
         (
             {"/flock/clock": {"qos_overrides": {"/clock": {"publisher": {"depth": 1}}}}},
@@ -147,8 +152,8 @@ def test_what_fly_does_not_read_is_named(file: Path, capsys: pytest.CaptureFixtu
     write(file, found)
     planned(file)
     assert capsys.readouterr().err.splitlines() == [
-        f"note: {file}: no node of this flight is in section /flock/bird_09, /camera",
-        f"note: {file}: run_id is for nodes that are started by hand",
+        f"note: {file}: no node of this flight matches section /flock/bird_09, /camera",
+        f"note: {file}: only nodes that are started by hand use run_id",
     ]
 
 
@@ -160,7 +165,7 @@ def test_a_file_that_is_refused_costs_no_bag(
     bag.mkdir()
     (bag / "kept").touch()
     told = error_of(fly, capsys, "--config", str(file), "--output", str(bag), "--force")
-    assert "/flock/bird_03 is to fly dt = 0.5" in told
+    assert "/flock/bird_03 has dt = 0.5" in told
     assert (bag / "kept").exists()
 
 
@@ -195,6 +200,6 @@ def test_a_launch_refuses_a_section_of_another_flock_and_records_where_the_file_
     assert (told.configuration.dt, told.output) == (0.5, "told")
     assert Arguments.read({**DEFAULTS, "config": str(file), "output": "x"}).output == "x"
     write(file, {ALL: {"birds": 3}, "/flock/bird_02": {"dt": 0.5}})
-    with pytest.raises(FlockError, match=r"/flock/bird_02 is to fly dt = 0.5") as refusal:
+    with pytest.raises(FlockError, match=r"/flock/bird_02 has dt = 0.5") as refusal:
         Arguments.read({**DEFAULTS, "config": str(file)})
     assert f"config:={file}" in str(refusal.value)

@@ -56,7 +56,7 @@ class FlockConfiguration:
     birds: int = _key(13, "number of birds N", most=MOST_BIRDS)
     coupling: str = _key(
         COUPLINGS[0],
-        "whom a bird feels",
+        "which birds act on a bird",
         note="its nearest neighbours, or all others",
         choices=COUPLINGS,
     )
@@ -77,8 +77,8 @@ class FlockConfiguration:
     aspect_ratio: float = _key(9.0, "aspect ratio", symbol="AR = (2b)^2 / S")
     span_ratios: tuple[str, ...] = _key(
         (),
-        "wing span of bird I over the standard one; several values make as many members, "
-        "independent flocks flown at once",
+        "wing span of bird I over the standard span; each of several values makes a member, "
+        "an independent flock of the same flight",
         form=ratios.FORM,
         example=ratios.EXAMPLE,
     )
@@ -91,9 +91,9 @@ class FlockConfiguration:
     )
     links: tuple[str, ...] = _key(
         (),
-        "what birds know of their neighbours, or TARGET of SOURCE (quote the >)",
+        "link model for all birds, or for what TARGET receives from SOURCE (quote the >)",
         note=f"the model {', '.join(model.name for model in MODELS)}, and {', '.join(keys.KEYS)}; "
-        "the last one for a link holds",
+        "of several for one link, the last one applies",
         form=keys.FORM,
         example=keys.EXAMPLE,
     )
@@ -133,8 +133,8 @@ class FlockConfiguration:
         if not self._in_ros_time(max(self.t_max, self.time(self.steps))):
             latest = LAST_SECOND / self.second * (1.0 - 5e-6)  # rounded to six digits still below
             raise FlockError(
-                f"t_max = {told(self.t_max)}: must be below {latest:.6g}, where the seconds of "
-                "ROS time end"
+                f"t_max = {told(self.t_max)}: must be below {latest:.6g}, the largest time "
+                "that ROS can represent"
             )
         if self.record_every * self.dt * self.second * 1e9 < LEAST_ROW:
             raise FlockError(

@@ -19,7 +19,7 @@ OPERATION = {
     ),
     "indices": Parameter([], "numbers of the birds of a process"),
     "run_id": Parameter(
-        0, "number of the run; 0: that of the clock", least=0, most=2**63 - 1, nodes=ALL
+        0, "number of the run; 0: the number that the clock has", least=0, most=2**63 - 1, nodes=ALL
     ),
     "window": Parameter(64, "steps that birds may be granted ahead; 1 is lockstep", nodes=CLOCK),
     "record": Parameter(True, "whether the clock waits for a recorder", nodes=CLOCK),
@@ -27,15 +27,15 @@ OPERATION = {
         False, "whether Runge-Kutta stages are recorded too", nodes=CLOCK + RECORDER
     ),
     "output": Parameter("", "directory of the bag", nodes=RECORDER),
-    "force": Parameter(False, "whether a bag that is there is replaced", nodes=RECORDER),
-    "resume": Parameter(False, "whether a bag that is there is gone on with", nodes=RECORDER),
-    "played": Parameter(False, "whether a flight is recorded that is played, and not flown"),
+    "force": Parameter(False, "whether an existing bag is replaced", nodes=RECORDER),
+    "resume": Parameter(False, "whether an existing bag is continued", nodes=RECORDER),
+    "played": Parameter(False, "whether the recorded flight is one that ./flock play publishes"),
     "executor": Parameter(
-        EXECUTORS[0], "which executor of rclpy serves the node", choices=EXECUTORS, nodes=ALL
+        EXECUTORS[0], "executor of rclpy that serves the node", choices=EXECUTORS, nodes=ALL
     ),
-    "timeout": Parameter(600.0, "how long to wait without news, in s", nodes=ALL),
+    "timeout": Parameter(600.0, "longest time without progress, in s", nodes=ALL),
     "real_time_factor": Parameter(
-        0.0, "how much faster than real time birds fly freely; 0: in lockstep", least=0, nodes=ALL
+        0.0, "speed of a free flight over real time; 0: lockstep", least=0, nodes=ALL
     ),
 }
 """The parameters by name."""
@@ -72,8 +72,8 @@ def parted(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
             flown[key] = value
         elif key.startswith(OURS):
             raise FlockError(
-                f"parameter {key!r}: nodes of a flock need the quality of service that they have, "
-                "or messages would be lost; leave it out"
+                f"parameter {key!r}: the quality of service of Flock's topics must not change, "
+                "since messages would be lost; leave it out"
             )
         elif key.partition(".")[0] not in OF_ROS:
             raise FlockError(f"unknown parameter {key!r}: {nearest(key, [*KEYS, *OPERATION])}")

@@ -66,7 +66,7 @@ def content(path: Path, called: str) -> Any:
         raise FlockError(f"{called} {path}: not YAML{place} ({problem})") from error
     except (ValueError, RecursionError) as error:
         raise FlockError(
-            f"{called} {path}: holds a number of too many digits, or is nested too deep"
+            f"{called} {path}: contains a number with too many digits, or is nested too deep"
         ) from error
 
 

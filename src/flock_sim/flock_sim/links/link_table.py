@@ -131,7 +131,7 @@ class LinkTable:
         if source not in around:
             raise FlockError(
                 f"link {entry!r}: bird {target} does not feel bird {source} with "
-                f"{self._coupling} coupling; it feels {', '.join(map(str, around)) or 'nobody'}"
+                f"{self._coupling} coupling; it feels {', '.join(map(str, around)) or 'no bird'}"
             )
 
     def _agreed_members(self) -> tuple[int, str]:

@@ -31,7 +31,7 @@ def register(model: LinkModel) -> None:
     if not NAME.fullmatch(model.name):
         raise FlockError(f"{called}: must be a letter and then a-z, 0-9 or _, such as fading")
     if model.name in [other.name for other in MODELS]:
-        raise FlockError(f"{called} is there already: give the new one another name")
+        raise FlockError(f"{called} exists already: give the new one another name")
     MODELS.append(replace(model, perceive=_compiled(called, model.perceive)))
 
 
@@ -53,6 +53,6 @@ def _compiled(called: str, function: Perceive) -> Perceive:
         ) from error
     if not (isinstance(known, tuple) and list(map(type, known)) == [float, float]):
         raise FlockError(
-            f"{called}: its perceive gives {known!r}: must be a position and a circulation"
+            f"{called}: its perceive returns {known!r}: must be a position and a circulation"
         )
     return compiled

@@ -33,7 +33,7 @@ ELSEWHERE_EXAMPLES = dict(zip(ELSEWHERE, ("10.0.0.2;robot.local", "10.0.0.2:1181
 
 MIDDLEWARE = "RMW_IMPLEMENTATION"
 
-NETWORK_HELP = "find, and be found by, nodes on other machines too"
+NETWORK_HELP = "exchange messages with nodes on other machines too"
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Variables for the settings file of Fast DDS: up to version 2, and from 3 on. ROS with version 3
@@ -55,9 +55,9 @@ def own_domain() -> Iterator[None]:
     with held_domain([int(chosen)] if chosen else range(SAFE_DOMAINS)) as held:
         domain = int(chosen or 0) if held is None else held
         if held is None:
-            note(f"another flight is on ROS domain {domain} too")
+            note(f"another flight uses ROS domain {domain} too")
         elif domain and not chosen:
-            note(f"another flight is on ROS domain 0: this one has {DOMAIN}={domain}")
+            note(f"another flight uses ROS domain 0: this one uses {DOMAIN}={domain}")
         os.environ[DOMAIN] = str(domain)
         yield
 
@@ -118,7 +118,7 @@ def check_middleware() -> None:
         return  # without an index, ROS itself must report it
     if asked not in known:
         raise FlockError(
-            f"{MIDDLEWARE} = {asked}: is not installed here; unset it, or set it to what is: "
+            f"{MIDDLEWARE} = {asked}: is not installed; unset it, or set it to an installed one: "
             f"{', '.join(known)}"
         )
 
@@ -130,7 +130,7 @@ def _check_domain(domain: str) -> None:
         raise FlockError(f"{DOMAIN} = {shown(domain)}: must be a whole number, 0..{LAST_DOMAIN}")
     if str(int(domain)) != domain:
         raise FlockError(
-            f"{DOMAIN} = {domain}: is octal to some and decimal to others: must be a whole number, "
+            f"{DOMAIN} = {domain}: some programs read it as octal: must be a whole number, "
             f"0..{LAST_DOMAIN}, without leading zeros"
         )
 
@@ -153,7 +153,7 @@ def _asked_reach(network: bool) -> str:
         return "LOCALHOST"
     if reach == "OFF":
         raise FlockError(
-            f"{RANGE} = OFF: no node would find another, so no flight could begin; set it to "
+            f"{RANGE} = OFF: nodes would not discover each other; set it to "
             "LOCALHOST, or leave it out"
         )
     return reach
@@ -165,7 +165,7 @@ def _check_elsewhere() -> None:
         for entry in filter(None, os.environ.get(name, "").split(";")):
             if not _is_host(entry, port=name != ELSEWHERE[0]):
                 raise FlockError(
-                    f"{name} = {os.environ[name]}: {entry!r} is no host that is known here; give "
+                    f"{name} = {os.environ[name]}: {entry!r} is not a known host; give "
                     f"names or addresses such as {example}"
                 )
 

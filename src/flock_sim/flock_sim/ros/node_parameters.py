@@ -56,8 +56,8 @@ def check_same(
             where = sections.origin(node, key)
             fix = f"leave it out of section {where}" if where else "give it in section /**"
             raise FlockError(
-                f"{node} is to fly {key} = {theirs[key]!r} and the others {value!r}, and a flock "
-                f"flies one configuration: {fix}"
+                f"{node} has {key} = {theirs[key]!r} and the other nodes have {value!r}, but a "
+                f"flock has one configuration: {fix}"
             )
 
 
@@ -73,8 +73,8 @@ def together(operations: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
                 value = min(value, told.get(key, value))
             elif told.get(key, value) != value:
                 raise FlockError(
-                    f"{node} has {key} = {value!r} and others of its process {told[key]!r}: give "
-                    "all of them the same, or each a process"
+                    f"{node} has {key} = {value!r} and another node of its process has "
+                    f"{told[key]!r}: give both the same value, or separate processes"
                 )
             told[key] = value
     return told
@@ -111,7 +111,7 @@ def of_flight(path: Path, options: Mapping[str, Any]) -> FlightParameters:
             check_same(configuration, theirs, full_name(node), sections)
     unmatched = sections.unmatched(map(full_name, found))
     if unmatched:
-        note(f"note: {path}: no node of this flight is in section {', '.join(unmatched)}")
+        note(f"note: {path}: no node of this flight matches section {', '.join(unmatched)}")
     aside = {
         key
         for operation in found.values()
@@ -119,5 +119,5 @@ def of_flight(path: Path, options: Mapping[str, Any]) -> FlightParameters:
         if key not in OBEYED and value != DEFAULTS[key]
     }
     if aside:
-        note(f"note: {path}: {', '.join(sorted(aside))} is for nodes that are started by hand")
+        note(f"note: {path}: only nodes that are started by hand use {', '.join(sorted(aside))}")
     return FlightParameters(configuration, found)

@@ -72,7 +72,7 @@ def make_executor(kind: str, context: Context) -> Executor:
         try:
             from rclpy.experimental import EventsExecutor
         except ImportError:
-            note("note: this rclpy has no events executor; the single-threaded one serves")
+            note("note: this rclpy has no events executor; the single-threaded executor is used")
         else:
             return EventsExecutor(context=context)
     return SingleThreadedExecutor(context=context)
@@ -149,7 +149,7 @@ def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:
         words = str(error).partition(", at /")[0].replace("\n", " ")
         reason = words.removeprefix("Failed to parse ROS arguments: ").strip()
         raise FlockError(
-            f"ROS arguments: {reason}; ./flock {name} --help shows how they are written"
+            f"ROS arguments: {reason}; ./flock {name} --help shows their form"
         ) from error
 
 
@@ -158,4 +158,4 @@ def _follow_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     if str(os.getppid()) != os.environ[SUPERVISED]:
-        raise FlockError("the process that started this one is gone; start the flight again")
+        raise FlockError("the process that started this one has ended; start the flight again")

@@ -48,8 +48,8 @@ def check_settings(domain: int) -> None:
     if not taken:
         name = PROFILES[is_fast_dds_3()]
         raise FlockError(
-            f"Fast DDS {found}: it has not loaded {os.environ[name]}, as it does before the first "
-            f"node of a process; name a file that it takes by {name}"
+            f"Fast DDS {found}: it has not loaded {os.environ[name]}, which it loads before the "
+            f"first node of a process; set {name} to a file that it can load"
         )
 
 
