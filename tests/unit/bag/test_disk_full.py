@@ -134,7 +134,7 @@ def test_without_room_for_the_summary_the_messages_are_still_read(
 
 def test_without_room_to_begin_nothing_is_left(tmp_path: Path, disk: Disk) -> None:
     disk.room = 100
-    with pytest.raises(RunFailed, match="can't be begun"):
+    with pytest.raises(RunFailed, match="can't be created"):
         BagWriter(tmp_path / "bag", TOPICS, {})
     assert list(tmp_path.iterdir()) == []
 
@@ -164,7 +164,7 @@ def test_without_room_to_go_on_a_complete_bag_stays_complete(
         bag.write(0, 1, b"one")
     before = {entry.name: entry.read_bytes() for entry in (tmp_path / "bag").iterdir()}
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(RunFailed, match=r"can't be gone on with \(No space left.*make room"):
+    with pytest.raises(RunFailed, match=r"can't be continued \(No space left.*free disk space"):
         BagWriter(tmp_path / "bag", TOPICS, {}, resume=True)
     assert {e.name: e.read_bytes() for e in (tmp_path / "bag").iterdir()} == before
     monkeypatch.undo()

@@ -277,7 +277,7 @@ def test_a_bag_poisoned_by_a_push_is_healed_by_repair(
         run.write_perturbation(good)
         run.write_perturbation(bad)
         run.write_perturbation(Push.of(7, 1, Perturbation(60, 1, 1, 0.1, 0.0)))
-    with pytest.raises(FlockError, match=r"leave it out by \./flock repair"):
+    with pytest.raises(FlockError, match=r"remove it with \./flock repair"):
         resumed(run.bag.path)
     found = json_of(tool, capsys, str(tmp_path / "bag"))
     assert found["invalid_perturbations"] == 2
@@ -315,7 +315,7 @@ def test_a_bag_torn_within_its_head_is_flown_from_the_start_or_told_so(
         try:
             found = resumed(path)
         except FlockError as error:
-            outcomes.add("told" if "within its beginning" in str(error) else str(error))
+            outcomes.add("told" if "damaged at its beginning" in str(error) else str(error))
             continue
         assert (found.complete, found.stages) == (False, stages)
         outcomes.add("flown")

@@ -271,7 +271,7 @@ def test_a_bag_that_was_begun_with_something_else_is_refused_and_left_alone(
         "type": [Topic("/clock", "std_msgs/msg/Header"), *TOPICS[1:]],
     }.get(other, TOPICS)
     metadata = {"flock": {"birds": "3"}} if other == "metadata" else METADATA
-    with pytest.raises(FlockError, match=r"bag_0.mcap can't be gone on with: .* or name") as told:
+    with pytest.raises(FlockError, match=r"bag_0.mcap can't be continued: .* or name") as told:
         BagWriter(directory, topics, metadata, resume=True)
     assert "\n" not in str(told.value)
     assert told.value.exit_status == 2

@@ -373,7 +373,7 @@ def test_another_flight_is_not_gone_on_with(
     if other == "version":
         monkeypatch.setattr(flight_bag, "__version__", "99.0")
     with (
-        pytest.raises(FlockError, match="can't be gone on with: it was begun with another") as told,
+        pytest.raises(FlockError, match="can't be continued: it was recorded with another") as told,
         recording(
             tmp_path / "bag",
             configuration,
@@ -390,7 +390,7 @@ def test_another_flight_is_not_gone_on_with(
 def test_a_bag_with_stages_is_not_gone_on_with_without(tmp_path: Path) -> None:
     lay_down(tmp_path / "bag", CONFIGURATION, grants=True, stages=True)
     with (
-        pytest.raises(FlockError, match="can't be gone on with"),
+        pytest.raises(FlockError, match="can't be continued"),
         recording(tmp_path / "bag", CONFIGURATION, grants=True, resume=True),
     ):
         pass

@@ -184,7 +184,7 @@ def test_a_recorded_push_of_what_is_not_there_is_refused(
 ) -> None:
     message = replace(messages.Push.of(7, 1, PUSHES[1]), **change)
     run = opened(pushed(tmp_path / "run", [message]))
-    with pytest.raises(FlockError, match=r"leave it out by \./flock repair"):
+    with pytest.raises(FlockError, match=r"remove it with \./flock repair"):
         run.perturbations()
 
 

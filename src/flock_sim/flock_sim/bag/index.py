@@ -90,7 +90,7 @@ def summarised(fd: int) -> Contents | None:
     block = os.pread(fd, end + _FOOTER_SIZE - footer.summary_start, footer.summary_start)
     # The CRC covers the summary and the footer up to the CRC itself, its last field.
     if footer.summary_crc and zlib.crc32(block[:-CRC_SIZE]) != footer.summary_crc:
-        raise DamagedError("its CRC does not fit")
+        raise DamagedError("its CRC does not match")
 
     contents = Contents(whole=footer.summary_start)
     statistics: Statistics | None = None
@@ -153,10 +153,10 @@ def scanned(fd: int) -> Contents:
     if lost and goes_on(fd, contents.whole):
         contents.missing = (
             f"byte {contents.whole} is damaged, and only ./flock repair reads the {lost} bytes of"
-            " data from there on"
+            " data that follow"
         )
     elif lost:
-        contents.missing = f"the last {lost} bytes of data are not whole and are left out"
+        contents.missing = f"the last {lost} bytes of data are incomplete and are left out"
     return contents
 
 

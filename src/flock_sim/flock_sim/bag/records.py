@@ -103,7 +103,7 @@ def read_chunk(fd: int, place: ChunkPlace) -> bytes:
         raise DamagedError("its data is cut short")
     body = _decompress(content[data_at : data_at + length], compression, size)
     if crc and zlib.crc32(body) != crc:
-        raise DamagedError("its CRC does not fit")
+        raise DamagedError("its CRC does not match")
     return body
 
 
@@ -119,7 +119,7 @@ def _decompress(data: bytes, compression: str, size: int) -> bytes:
         elif compression == "":
             body = data
         else:
-            raise DamagedError(f"its compression {compression!r} is none of zstd, lz4 or none")
+            raise DamagedError(f"its compression {compression!r} must be zstd, lz4 or none")
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise DamagedError(f"it does not decompress: {error}") from error
     if len(body) != size:

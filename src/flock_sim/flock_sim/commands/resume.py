@@ -51,8 +51,8 @@ def resumable(run: Path, options: argparse.Namespace) -> Iterator[Resumable]:
     for name, option in EXCLUDED.items():
         if getattr(options, name):
             raise FlockError(
-                f"{option} and --resume exclude each other: what is flown, and where to, stands in "
-                f"{run}"
+                f"{option} and --resume exclude each other: configuration and output are those of "
+                f"{run}; leave one out"
             )
     if not run.exists():
         raise _refused(run, f"there is no bag {run}")
@@ -80,7 +80,7 @@ def _check_flight(run: Run) -> None:
         raise FlockError("it was not recorded by fly")
     # Types are written first: if a bag has topics, all types are known.
     if not is_flight(run.bag) or not announced:
-        raise FlockError("it is torn off or damaged within its beginning, which says what is in it")
+        raise FlockError("it is cut off or damaged at its beginning, which describes its content")
 
 
 def is_whole(run: Run) -> bool:
@@ -97,5 +97,5 @@ def is_whole(run: Run) -> bool:
 
 def _refused(run: Path, why: str) -> FlockError:
     return FlockError(
-        f"--resume {run}: nothing to go on with ({why}); fly it anew with --output {run} --force"
+        f"--resume {run}: nothing to continue ({why}); fly again with --output {run} --force"
     )

@@ -91,7 +91,7 @@ def check_topics(bag: BagReader, configuration: FlockConfiguration) -> None:
         numbers.setdefault(stream.topic, set()).update(channel.id for channel in channels)
     if any(numbers.get(name) != {place} for place, name in enumerate(expected, 1)):
         raise FlockError(
-            f"{bag.path} is damaged within its beginning: which bird a message is of can't be told;"
+            f"{bag.path} is damaged at its beginning, so the bird of a message is unknown;"
             " take another copy of the bag"
         )
 
@@ -111,7 +111,7 @@ def recorded_push(path: Path, data: bytes, configuration: FlockConfiguration) ->
     try:
         return checked_push(data, configuration)
     except FlockError as error:
-        raise FlockError(f"{path}: {error}; leave it out by ./flock repair") from error
+        raise FlockError(f"{path}: {error}; remove it with ./flock repair") from error
 
 
 def has_stages(bag: BagReader) -> bool:

@@ -52,8 +52,8 @@ class Output:
             there = None
         if there is None or (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
             raise RunFailed(
-                f"output {self.path} was moved or removed while it was recorded to: nothing is "
-                "known of what is there now"
+                f"output {self.path} was moved or removed during the recording: what is there now "
+                "is unknown"
             )
 
     def close(self) -> None:
@@ -197,7 +197,7 @@ def _check_bag(directory: Path) -> None:
     plain = all(entry.is_symlink() or entry.is_file() for entry in entries)
     if names and not (is_bag and plain and all(map(belongs_to_bag, names))):
         raise FlockError(
-            f"output {directory} is not a bag (it holds other things), and --force replaces only"
+            f"output {directory} is not a bag (it contains other files), and --force replaces only"
             " a bag: name another --output"
         )
     if not os.access(directory, os.W_OK | os.X_OK):

@@ -45,7 +45,7 @@ class Run:
         except (KeyError, ValueError, FlockError) as error:
             self.bag.close()
             torn = self.bag.missing and not self.bag.topics
-            why = "it is torn off or damaged within its beginning, which says what is in it"
+            why = "it is cut off or damaged at its beginning, which describes its content"
             raise FlockError(
                 f"{self.path}: not a bag of Flock's "
                 f"({why if torn else f'no configuration that can be read: {error}'}); "
@@ -110,7 +110,8 @@ class Run:
             links = len(formation.neighbours(bird, flown.birds, flown.coupling))
             if any(len(values) != links for values in (ages.age, ages.age_max, ages.behind)):
                 raise FlockError(
-                    f"{self.path}: {topic}: not of {links} neighbours; take another copy of the bag"
+                    f"{self.path}: {topic}: the length does not match {links} neighbours; "
+                    "take another copy of the bag"
                 )
             yield bird, ages
 
@@ -158,7 +159,7 @@ class Run:
             if found.setdefault(number, pushes) != pushes:
                 raise FlockError(
                     f"{self.path}: perturbation {number} is both '{found[number][0]}' and "
-                    f"'{pushes[0]}'; leave the second one out by ./flock repair"
+                    f"'{pushes[0]}'; remove the second one with ./flock repair"
                 )
         return [push for number in in_order(found) for push in found[number]]
 

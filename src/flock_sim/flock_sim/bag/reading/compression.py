@@ -47,7 +47,7 @@ def unpacked_file(file: FileIO, path: Path) -> tuple[IO[bytes], str | None]:
         unpacked.close()
         raise FlockError(
             f"{path} can't be unpacked in {tempfile.gettempdir()}: {error.strerror}; set TMPDIR to"
-            f" a directory with room, or unpack it by: zstd -d {path}"
+            f" a directory with enough space, or unpack it with: zstd -d {path}"
         ) from error
     return unpacked, damage
 

@@ -51,7 +51,7 @@ def listing(path: Path) -> Listing:
     if not found:
         why = "there is no .mcap file in it"
         if any(entry.suffix == ".db3" for entry in entries):
-            why += ", but SQLite; ros2 bag convert makes MCAP of it"
+            why += ", but an SQLite file; ros2 bag convert makes MCAP of it"
         raise FlockError(f"{path} is not a bag that can be read: {why}")
     if not (path / METADATA_FILE).exists():
         missing = f"no {METADATA_FILE} (the recording was cut short)"
@@ -154,8 +154,8 @@ def _packed(information: Mapping[str, Any], path: Path) -> bool:
         return False
     if (form := information.get("compression_format")) != FORMAT:
         raise FlockError(
-            f"{path}: its messages are compressed as {form!r}, not as {FORMAT}: let ros2 bag"
-            " convert write it without compression"
+            f"{path}: its messages are compressed as {form!r}, not as {FORMAT}: write it without"
+            " compression with ros2 bag convert"
         )
     return True
 

@@ -145,7 +145,7 @@ class McapFile:
         except DamagedError as error:
             raise FlockError(
                 f"{self.path} is damaged at byte {place.offset} ({error}):"
-                " take another copy of the bag, or save what is whole of a flight by"
+                " take another copy of the bag, or recover the undamaged part of a flight with"
                 " ./flock repair"
             ) from error
         except OSError as error:

@@ -66,7 +66,7 @@ class BagReader:
         for file in self._files:
             if name in file.metadata:
                 return dict(file.metadata[name])
-        raise FlockError(f"{self.path} has no metadata record {name!r}: it is no run of Flock")
+        raise FlockError(f"{self.path} has no metadata record {name!r}: it is not a run of Flock")
 
     def messages(
         self,

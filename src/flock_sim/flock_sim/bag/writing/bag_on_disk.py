@@ -80,7 +80,7 @@ class BagOnDisk:
         except OSError as error:
             raise RunFailed(
                 f"recording to {self.path} failed ({error.strerror}): the {self.written.messages}"
-                " messages recorded before are safe; make room and fly again"
+                " messages recorded before are safe; free disk space and fly again"
             ) from error
         self.written.add(chunk.summary)
 
@@ -198,8 +198,8 @@ class BagOnDisk:
             if made:
                 self.directory.rmdir()
             raise RunFailed(
-                f"the bag {self.directory} can't be begun ({error.strerror}):"
-                " make room and try again"
+                f"the bag {self.directory} can't be created ({error.strerror}):"
+                " free disk space and try again"
             ) from error
 
     def _go_on(self) -> None:
@@ -225,8 +225,8 @@ class BagOnDisk:
         except OSError as error:
             self._reserve.free()
             raise RunFailed(
-                f"the bag {self.directory} can't be gone on with ({error.strerror}):"
-                " make room and try again"
+                f"the bag {self.directory} can't be continued ({error.strerror}):"
+                " free disk space and try again"
             ) from error
         # metadata.yaml first: its presence says that the bag is complete.
         if not self.replaces:
@@ -246,8 +246,8 @@ class BagOnDisk:
             file, self.aside = put_aside(self._file, size)
         except OSError as error:
             raise RunFailed(
-                f"{self.path} is damaged, and what is sound of it can't be copied"
-                f" ({error.strerror}): make room and try again"
+                f"{self.path} is damaged, and its undamaged part can't be copied"
+                f" ({error.strerror}): free disk space and try again"
             ) from error
         self._file.close()
         self._file = file
@@ -258,8 +258,8 @@ class BagOnDisk:
         """Never touch the file again, which was removed or changed; return the failure."""
         self._lost = True
         return RunFailed(
-            f"recording to {self.path} failed: {error.strerror}; nothing more is recorded: see that"
-            " no other program touches the bag of a flight, and fly again"
+            f"recording to {self.path} failed: {error.strerror}; nothing more is recorded: make"
+            " sure that no other program changes the bag of a flight, and fly again"
         )
 
     def _unusable(self, error: OSError) -> FlockError:

@@ -76,9 +76,9 @@ class PartialBag:
         following = os.pread(fd, 1, len(head))
         if not head.startswith(found) or following in _IN_HEAD:
             raise FlockError(
-                f"{path} can't be gone on with: it was begun with another configuration, other"
-                " topics or another version of Flock, or its beginning is damaged; give what it was"
-                " begun with, or name another directory"
+                f"{path} can't be continued: it was recorded with another configuration, other"
+                " topics or another version of Flock, or its beginning is damaged; use what it"
+                " was recorded with, or name another directory"
             )
         self.has_head = found == head
         found_chunks = _walk(path, len(head)) if self.has_head else []
@@ -145,8 +145,8 @@ class PartialBag:
 
     def _damaged(self, extent: Extent, reason: ValueError) -> FlockError:
         return FlockError(
-            f"{self._path} is damaged at byte {extent.offset} ({reason}): it can't be gone on"
-            " with; save what is whole of it by ./flock repair"
+            f"{self._path} is damaged at byte {extent.offset} ({reason}): it can't be"
+            " continued; recover its undamaged part with ./flock repair"
         )
 
 
@@ -167,11 +167,11 @@ def recorded_in(directory: Path) -> Path | None:
         return directory / NEW_FILE
     for name in names:
         if name.endswith(f".{FORMAT}") and is_recording(name.removesuffix(f".{FORMAT}")):
-            raise FlockError(f"{directory} can't be gone on with: {name} is compressed: unpack it")
+            raise FlockError(f"{directory} can't be continued: {name} is compressed: unpack it")
     files = [directory / name for name in names if is_recording(name)]
     if len(files) > 1:
         raise FlockError(
-            f"{directory} holds {len(files)} .mcap files: only a bag of one can be gone on with"
+            f"{directory} holds {len(files)} .mcap files: only a bag with one can be continued"
         )
     return files[0] if files else None
 
