@@ -104,7 +104,7 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
     done = terminal.run("fly", "--resume", "bag", "--json")
     assert done.status == 0, done.stderr
     assert done.json["steps"] == STEPS
-    assert "going on with bag" in done.stderr or on_disk == STEPS
+    assert "continuing bag" in done.stderr or on_disk == STEPS
     assert_as_undisturbed(terminal)
 
 
@@ -120,15 +120,15 @@ def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(terminal
     terminal.well("fly", "--resume", "bag")
     assert_as_undisturbed(terminal)
     again = terminal.well("fly", "--resume", "bag", "--json")
-    assert "bag is complete: nothing to go on with" in again.stderr
+    assert "bag is complete: there is nothing to continue" in again.stderr
     assert again.json["steps"] == STEPS
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["--resume", "nowhere"], ["nowhere", "nothing to go on with", "--output nowhere"]),
-        (["--resume", "empty"], ["empty", "nothing to go on with"]),
+        (["--resume", "nowhere"], ["nowhere", "nothing to continue", "--output nowhere"]),
+        (["--resume", "empty"], ["empty", "nothing to continue"]),
         (["--resume", "reference"], ["reference", "not recorded by fly"]),
         (["--resume", "reference", "--birds", 4], ["--birds", "--resume", "exclude"]),
         (["--resume", "reference", "--output", "x"], ["--output", "--resume", "exclude"]),

@@ -86,7 +86,7 @@ def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Termin
     assert done.status == 0, done.stderr
     assert done.json["members"] == 6
     assert (done.json["flights"], done.json["flights_flown"]) == (2, 1)
-    assert "going on with runs/s/flight_02" in done.stderr
+    assert "continuing runs/s/flight_02" in done.stderr
     assert (runs / "flight_01" / "flight_01_0.mcap").stat().st_mtime_ns == first.st_mtime_ns
     assert (runs / "sweep.png").read_bytes().startswith(b"\x89PNG")
     assert_members_are_those_of_the_reference(terminal)

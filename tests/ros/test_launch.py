@@ -182,7 +182,7 @@ def test_a_node_that_dies_ends_a_launch_that_is_not_to_respawn(
     os.kill(bird, signal.SIGKILL)
     done = job.wait()
     assert done.status == 1
-    assert "bird_02 died" in done.stdout + done.stderr
+    assert "bird_02 was killed by SIGKILL: fly again" in done.stdout + done.stderr
     assert len(started(job, "bird_02")) == 1
 
 

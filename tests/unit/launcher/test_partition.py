@@ -63,7 +63,7 @@ def test_as_many_processes_as_are_named_work_and_no_more() -> None:
     for coupling in COUPLINGS:
         most = process_count("--processes", str(MOST_PROCESSES), 500, coupling)
         assert most == MOST_PROCESSES
-        with pytest.raises(FlockError, match=rf"--processes {most + 1}: .*; {most} work"):
+        with pytest.raises(FlockError, match=rf"--processes {most + 1}: .*; give {most} or fewer"):
             process_count("--processes", str(most + 1), 500, coupling)
 
 
@@ -84,7 +84,7 @@ def test_fly_refuses_more_processes_than_find_each_other(
 ) -> None:
     output = tmp_path / "bag"
     words = ["--birds", "70", "--processes", "61", "--output", str(output)]
-    assert "60 work" in error_of(tool, capsys, *words)
+    assert "give 60 or fewer" in error_of(tool, capsys, *words)
     assert not output.exists()
 
 
@@ -94,13 +94,13 @@ def test_a_sweep_refuses_them_before_it_begins(
     file, output = tmp_path / "sweep.yaml", tmp_path / "swept"
     file.write_text('flock: {birds: 70, t_max: 10}\naxes: {"span_ratio[1]": [0.95, 1.0]}\n')
     words = [str(file), "--processes", "61", "--output", str(output)]
-    assert "60 work" in error_of(sweep.tool, capsys, *words)
+    assert "give 60 or fewer" in error_of(sweep.tool, capsys, *words)
     assert not output.exists()
 
 
 def test_limits_that_are_flown_refuse_them(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--method", "fly", "--birds", "70", "--processes", "61"]
-    assert "60 work" in error_of(limits.tool, capsys, *words)
+    assert "give 60 or fewer" in error_of(limits.tool, capsys, *words)
 
 
 def test_a_launch_of_a_process_a_bird_names_the_other_one() -> None:
@@ -108,5 +108,5 @@ def test_a_launch_of_a_process_a_bird_names_the_other_one() -> None:
     with pytest.raises(FlockError, match=r"birds 61: .* composed\.launch\.py with processes:=60"):
         Arguments.read({**given, "birds": "61"})
     assert Arguments.read({**given, "birds": "61", "processes": "60"}).processes == 60
-    with pytest.raises(FlockError, match=r"processes 61: .*60 work"):
+    with pytest.raises(FlockError, match=r"processes 61: .*give 60 or fewer"):
         Arguments.read({**given, "birds": "61", "processes": "61"})

@@ -253,4 +253,4 @@ def test_without_its_server_a_supervisor_goes_on_with_new_processes(
         assert parent(again) == os.getpid()
     said = capsys.readouterr().err
     assert "one was killed by SIGKILL: started again" in said
-    assert "from now on processes are started anew, which is slower" in said
+    assert "from now on processes start without the fork server, which is slower" in said

@@ -53,14 +53,12 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
             metrics = run.metrics()
             fresh = freshness(run)
     if last < configuration.steps:
-        on = (
-            "" if flight["output"] is None else f"; fly --resume {flight['output']} goes on with it"
-        )
+        on = "" if flight["output"] is None else f"; fly --resume {flight['output']} continues it"
         note(f"note: the flight was ended at step {last} of {configuration.steps}{on}")
     rest = last % configuration.record_every
     if metrics is not None and rest:
         note(
-            f"note: the last {rest} steps are flown and not recorded: the last recorded step is "
+            f"note: the last {rest} steps were flown but not recorded: the last recorded step is "
             f"{metrics.steps}; choose a --record-every that divides {last}"
         )
     if as_json:
@@ -78,8 +76,8 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
         )
     if flight.get("rewinds"):
         print(
-            f"recovered: {flight['restarts']} processes started again, {flight['rewinds']} times "
-            f"back to what is on disk, {flight['steps_flown_again']} steps flown again"
+            f"recovered: {flight['restarts']} processes restarted, {flight['rewinds']} rewinds "
+            f"to the last step on disk, {flight['steps_flown_again']} steps flown again"
         )
     if metrics is not None:
         print(f"bag:   {flight['output']}")

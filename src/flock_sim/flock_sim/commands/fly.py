@@ -43,8 +43,8 @@ EXAMPLES = """\
   ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
   ./flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
   ./flock fly --config flock.yaml --output runs/mine --force
-  ./flock fly --resume runs/mine                      goes on with a flight that was cut short
-  ./flock fly --mode free --t-max 500                 21 s in which nobody waits for anybody"""
+  ./flock fly --resume runs/mine                      continues a flight that was cut short
+  ./flock fly --mode free --t-max 500                 21 s in which no bird waits for another"""
 
 
 def tool(arguments: Sequence[str]) -> int:
@@ -61,7 +61,7 @@ def tool(arguments: Sequence[str]) -> int:
 def _fly(options: argparse.Namespace, plan: Plan, resumed: Resumable | None = None) -> int:
     """Fly `plan`, and print its report."""
     if resumed and resumed.complete:
-        note(f"{options.resume} is complete: nothing to go on with")
+        note(f"{options.resume} is complete: there is nothing to continue")
         how = dict.fromkeys(("steps_per_second", "start_seconds", "wall_seconds"), 0.0)
         counts = dict.fromkeys(("steps_flown_again", "rewinds", "restarts"), 0)
         last = plan.configuration.steps
@@ -100,10 +100,12 @@ def _parser() -> Parser:
         "--resume",
         metavar="RUN",
         type=Path,
-        help="go on with a flight that was cut short, from the last step in its bag",
+        help="continue a flight that was cut short, from the last step in its bag",
     )
-    how = parser.add_argument_group("how it is flown", "none of these changes a bit of the result")
-    free = parser.add_argument_group("free flight", "the real thing, which no two flights repeat")
+    how = parser.add_argument_group("execution", "these options change no bit of the result")
+    free = parser.add_argument_group(
+        "free flight", "birds do not wait for messages, so no two flights are equal"
+    )
     free.add_argument(
         "--mode",
         metavar="|".join(MODES),
@@ -113,17 +115,21 @@ def _parser() -> Parser:
     free.add_argument(
         "--real-time-factor",
         metavar="F",
-        help="how much faster than real time a free flight is (1)",
+        help="speed of a free flight over real time (1)",
     )
     how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
     how.add_argument(
-        "--window", metavar="W", help=f"steps granted ahead; 1 is strict lockstep ({WINDOW})"
+        "--window",
+        metavar="W",
+        help=f"steps that birds may be granted ahead; 1 is strict lockstep ({WINDOW})",
     )
-    how.add_argument("--executor", metavar="|".join(EXECUTORS), help=f"of rclpy ({EXECUTORS[0]})")
+    how.add_argument(
+        "--executor", metavar="|".join(EXECUTORS), help=f"executor of rclpy ({EXECUTORS[0]})"
+    )
     how.add_argument(
         "--timeout",
         metavar="S",
-        help=f"longest standstill before giving up, in s ({TIMEOUT})",
+        help=f"longest time without progress, in s ({TIMEOUT})",
     )
     how.add_argument(
         "--no-respawn", action="store_true", help="end the flight when a process of it is killed"
@@ -227,20 +233,19 @@ def _factor(options: argparse.Namespace, told: float) -> float:
     if options.mode == MODES[0]:
         if options.real_time_factor is not None:
             raise FlockError(
-                "--real-time-factor is of a free flight, and lockstep is as fast as it can be: add "
-                "--mode free, or leave it out"
+                "--real-time-factor applies to a free flight only: add --mode free, or leave it out"
             )
         if told:
             raise FlockError(
-                f"real_time_factor = {told:g} in {options.config} is of a free flight: add "
-                "--mode free, or leave it out"
+                f"real_time_factor = {told:g} in {options.config} applies to a free flight only: "
+                "add --mode free, or leave it out"
             )
         return 0.0
     for option, given in (("--window", options.window), ("--resume", options.resume)):
         if given is not None:
             raise FlockError(
-                f"{option} and --mode free exclude each other: a free flight holds nobody back, "
-                "and can't be gone on with; leave one out"
+                f"{option} and --mode free exclude each other: a free flight has no window "
+                "and can't be continued; leave one out"
             )
     return positive_number("--real-time-factor", _said(options.real_time_factor, told or 1))
 
@@ -257,10 +262,10 @@ def _go_on(output: Path, plan: Plan) -> None:
     run = lay_down(output, plan.configuration, grants=True, stages=plan.record_stages, resume=True)
     if run.bag.aside is not None:
         note(
-            f"{run.bag.path} is damaged or lacks steps, and is kept as {run.bag.aside.name}: flown "
-            f"again from step {max(run.saved, 0)}"
+            f"{run.bag.path} is damaged or lacks steps, and is kept as {run.bag.aside.name}: the "
+            f"flight continues from step {max(run.saved, 0)}"
         )
-    note(f"going on with {output}")
+    note(f"continuing {output}")
 
 
 def main() -> NoReturn:

@@ -30,13 +30,15 @@ EXAMPLES = """\
 
 def tool(arguments: Sequence[str]) -> int:
     """Integrate a flock as one system, record it, and print its report."""
-    parser = Parser("reference", "Fly a flock in one loop, without ROS, bit for bit.", EXAMPLES)
+    parser = Parser(
+        "reference", "Fly a flock in one loop, without ROS, with the same bits as fly.", EXAMPLES
+    )
     add_flock_options(parser)
     parser.add_argument(
         "--repeat",
         metavar="RUN",
         type=Path,
-        help="fly again what RUN flew: its configuration, and what it was perturbed by in flight",
+        help="repeat the flight RUN: its configuration, and the perturbations in flight",
     )
     add_output_options(parser)
     options = parser.parse_args(arguments)
@@ -64,7 +66,7 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
     for key, option in {"config": "--config", **FLOCK_OPTIONS}.items():
         if getattr(options, key) is not None:
             raise FlockError(
-                f"{option} and --repeat exclude each other: what is flown stands in "
+                f"{option} and --repeat exclude each other: the configuration is that of "
                 f"{options.repeat}; leave one out"
             )
 
@@ -72,9 +74,12 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
 
     with Run(options.repeat) as run:
         if run.missing:
-            note(f"note: {run.missing}; it is flown to its end")
+            note(f"note: {run.missing}; it is repeated to its planned end")
         if run.real_time_factor:
-            note(f"note: {options.repeat} was flown freely, which can't be repeated; in lockstep")
+            note(
+                f"note: {options.repeat} is a free flight, which can't be repeated; this flight is "
+                "in lockstep"
+            )
         return run.configuration, run.perturbations()
 
 

@@ -32,8 +32,8 @@ def process_count(name: str, text: str, birds: int, coupling: str) -> int:
     check_partition(birds, coupling, processes)
     if processes > MOST_PROCESSES:
         raise FlockError(
-            f"{name} {processes}: more processes of birds on one machine than find each other in "
-            f"time; {MOST_PROCESSES} work"
+            f"{name} {processes}: too many processes of birds on one machine to discover each "
+            f"other in time; give {MOST_PROCESSES} or fewer"
         )
     return processes
 
@@ -45,8 +45,8 @@ def check_partition(birds: int, coupling: str, processes: int) -> None:
         return
     words = "in one process" if processes == 1 else f"in {processes} processes"
     raise FlockError(
-        f"{birds} birds with {coupling} coupling {words}: one would have {count} publishers and "
-        f"subscriptions, and can start with {MOST_ENDPOINTS}; "
+        f"{birds} birds with {coupling} coupling {words}: one process would have {count} "
+        f"publishers and subscriptions, and at most {MOST_ENDPOINTS} are possible; "
         f"fly {_most_birds(birds, coupling, processes)} birds, or use more processes"
     )
 

@@ -18,11 +18,11 @@ from flock_sim.messages.topics import RECORDER
 from flock_sim.ros.node_parameters import FlightParameters, of_flight
 
 ARGUMENTS = {
-    "birds": ("", "number of birds; empty: what `config` says, else 13"),
-    "config": ("", "ROS 2 parameter file that says what is flown; empty: none"),
+    "birds": ("", "number of birds; empty: the number in `config`, or 13"),
+    "config": ("", "ROS 2 parameter file with the configuration; empty: none"),
     "output": ("", "directory of the bag; empty: a new runs/launch-DATE-TIME"),
     "record": ("true", "whether the flight is recorded"),
-    "respawn": ("true", "whether a node that dies is started again"),
+    "respawn": ("true", "whether a node that was killed is started again"),
 }
 """The default and the description of every argument of the launch files."""
 
@@ -55,8 +55,9 @@ class Arguments:
 
         if "processes" not in given and birds > MOST_PROCESSES:
             raise FlockError(
-                f"birds {birds}: here every bird has its own process, and {MOST_PROCESSES} work on "
-                f"one machine; use composed.launch.py with processes:={MOST_PROCESSES} or less"
+                f"birds {birds}: here every bird has its own process, and at most {MOST_PROCESSES} "
+                "can fly on one machine; use composed.launch.py with "
+                f"processes:={MOST_PROCESSES} or less"
             )
         return cls(
             told.configuration,
@@ -91,8 +92,8 @@ def refuse_others(words: Sequence[str], known: Sequence[str]) -> None:
             )
         if name in parameters:
             raise FlockError(
-                f"{name} is no argument of this launch file: write it in a parameter file, and "
-                "name that as in config:=flock.yaml"
+                f"{name} is not an argument of this launch file: write it in a parameter file, and "
+                "name that file, as in config:=flock.yaml"
             )
         close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
         if close:

@@ -95,8 +95,11 @@ class Flight:
         if status == 0 or self._last not in self._parts:
             return self._gone(who)
         if not self.arguments.respawn:
-            raise RunFailed(f"{who} died: fly again, or with respawn:=true")
-        return [LogInfo(msg=f"{who} died: it is started again"), self._node(who)]
+            raise RunFailed(f"{who} {exit_status.ended(status)}: fly again, or with respawn:=true")
+        return [
+            LogInfo(msg=f"{who} {exit_status.ended(status)}: it is started again"),
+            self._node(who),
+        ]
 
     def _gone(self, who: str) -> list[Action]:
         """Return the actions when node `who` is no longer needed."""

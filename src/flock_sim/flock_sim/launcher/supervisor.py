@@ -170,7 +170,10 @@ class Supervisor:
                 try:
                     return self._server.start(program, files)
                 except CannotFork as error:
-                    note(f"note: from now on processes are started anew, which is slower: {error}")
+                    note(
+                        "note: from now on processes start without the fork server, which is "
+                        f"slower: {error}"
+                    )
                     self._server.close()
                     self._server = None
         return subprocess.Popen(
