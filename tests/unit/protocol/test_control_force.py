@@ -148,7 +148,9 @@ def test_of_whom_nothing_is_known_the_position_is_nan():
 
 
 def test_what_is_no_force_is_refused():
-    with pytest.raises(FlockError, match=r"the control of bird 1 gives .*: must be .* 3, one"):
+    with pytest.raises(
+        FlockError, match=r"the control of bird 1 returns .*: must be .* 3, one for each"
+    ):
         fly_alone(lambda view: np.zeros(2))
 
 

@@ -85,7 +85,7 @@ class Steering:
         force = self._control(view)
         if np.shape(force) not in ((), (members,)):
             raise FlockError(
-                f"the control of bird {self._bird} gives {force!r}: must be one number, or "
-                f"{members}, one a member"
+                f"the control of bird {self._bird} returns {force!r}: must be one number, or "
+                f"{members}, one for each member"
             )
         self._own[THRUST] = self._thrust + force

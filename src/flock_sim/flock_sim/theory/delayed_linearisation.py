@@ -125,8 +125,8 @@ class DelayedLinearisation:
         own = 1.0 - np.abs(self.surge).sum(axis=1).max()
         if own <= 0.0:
             raise RunFailed(
-                f"lag {self.lag:g}: birds would answer to their neighbours' accelerations by more "
-                "than these, and no flock could: take a shorter lag"
+                f"lag {self.lag:g}: accelerations one lag ago would have more effect than present "
+                "ones, which is not possible: use a shorter lag"
             )
         by_speed = (np.abs(self.damping) + np.abs(self.push).sum(axis=1)).max() / own
         by_position = 2.0 * self.pull.sum(axis=1).max() / own
@@ -220,8 +220,8 @@ class DelayedLinearisation:
         strayed = np.abs(polished - found).max(initial=0.0)
         if strayed > STRAYED * self.most_rapid:
             raise RunFailed(
-                f"a root of the characteristic equation moved by {strayed:.3g} when it was "
-                f"polished, with {nodes} nodes and lag {self.lag:g}: ask for fewer roots"
+                f"a root of the characteristic equation moved by {strayed:.3g} in its "
+                f"refinement, with {nodes} nodes and lag {self.lag:g}: ask for fewer roots"
             )
         return polished[np.argsort(-polished.real, kind="stable")]
 

@@ -102,7 +102,7 @@ def delayed_nearest(flock: Flock, lag: FloatArray | float) -> DelayedNearest:
         m = unbalanced[0]
         raise RunFailed(
             f"member {m + 1}: rounding grows along its chain until {rest[m]:.2g} of what a pair "
-            f"saves is left over, at lag {lags[m]:g}; a smaller lag, or birds more alike, would do"
+            f"saves is left over, at lag {lags[m]:g}; use a smaller lag, or more similar birds"
         )
     exists = margin > 0.0
     spacing[:, ~exists] = nan
