@@ -92,7 +92,7 @@ def _fly(options: argparse.Namespace, plan: Plan, resumed: Resumable | None = No
 
 def _parser() -> Parser:
     parser = Parser(
-        "fly", "Fly a flock over ROS 2: every bird a node, recorded as a bag.", EXAMPLES
+        "fly", "Fly a flock over ROS 2, with one node per bird, and record it as a bag.", EXAMPLES
     )
     add_flock_options(parser)
     add_output_options(parser)

@@ -92,8 +92,8 @@ class FlockConfiguration:
     links: tuple[str, ...] = _key(
         (),
         "link model for all birds, or for what TARGET receives from SOURCE (quote the >)",
-        note=f"the model {', '.join(model.name for model in MODELS)}, and {', '.join(keys.KEYS)}; "
-        "of several for one link, the last one applies",
+        note=f"MODEL is one of {', '.join(model.name for model in MODELS)}; KEY is one of "
+        f"{', '.join(keys.KEYS)}; of several for one link, the last one applies",
         form=keys.FORM,
         example=keys.EXAMPLE,
     )
