@@ -31,7 +31,7 @@ METAVARS = {"birds": "N", "dt": "DT", "t_max": "T", "record_every": "K"}
 def add_flock_options(parser: argparse.ArgumentParser) -> None:
     """Add FLOCK, the options for the configuration of the flight. None of them has a default."""
     flock = parser.add_argument_group(
-        "flock", "configuration: defaults, then the configuration file, then these options"
+        "flock", "these options override the configuration file, which overrides the defaults"
     )
     add_config_option(flock)
     for name in FLOCK_OPTIONS:
