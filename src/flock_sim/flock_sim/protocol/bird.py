@@ -258,10 +258,12 @@ class BirdProtocol(Listener):
     def _advance(self) -> list[Outgoing]:
         out: list[Outgoing] = []
         inbox = self._inbox
-        while inbox.complete:
-            step, stage = divmod(self.tick, STAGES)
+        complete = inbox.complete
+        while complete:
+            tick = self.tick
+            step, stage = divmod(tick, STAGES)
             if not self._held:
-                self._motion.advance()
+                self._motion.advance(tick)
             if stage == 0:
                 if not self._held:
                     out += self._reports(step)
@@ -272,6 +274,7 @@ class BirdProtocol(Listener):
                 self._push(step + 1)
             if inbox.turn():
                 out.append(self._stage())
+                complete = inbox.complete
         if self._held or not self.on_fast_path:
             self._plan()
         return out

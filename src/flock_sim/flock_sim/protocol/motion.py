@@ -28,7 +28,7 @@ from flock_sim.protocol.control_force import Control, Steering
 from flock_sim.protocol.link_receiver import LinkReceiver
 from flock_sim.protocol.neighbours import Neighbourhood
 from flock_sim.protocol.stage_inbox import StageInbox
-from flock_sim.protocol.stage_words import OWN, SENT, TICK, say
+from flock_sim.protocol.stage_words import OWN, SENT, say
 
 
 class Motion:
@@ -39,6 +39,7 @@ class Motion:
         members = configuration.members
         self.bird = bird
         self._configuration = configuration
+        self._dt = configuration.dt
         self._geometry = around.geometry
         self._own = constants(bird, configuration)
         self._mine = np.zeros((2, stage_words(members)))
@@ -63,8 +64,7 @@ class Motion:
 
         `heard` has the messages of the neighbours, as in `feel_and_move`.
         """
-        dt = self._configuration.dt
-        feel_and_move(tick, dt, self._own, self._geometry, heard, self._mine, self._work)
+        feel_and_move(tick, self._dt, self._own, self._geometry, heard, self._mine, self._work)
 
     def numbers(self, tick: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, speed and circulation at `tick`, each of shape (members,)."""
@@ -121,9 +121,9 @@ class LockstepMotion(Motion):
         if self._receiver:
             self._receiver.begin(checkpoint.memory)
 
-    def advance(self) -> None:
-        """Compute the values at the next tick from the messages of this one, which are here."""
-        tick, heard = self._inbox.word[TICK], self._inbox.heard
+    def advance(self, tick: int) -> None:
+        """Compute the values at the next tick from the messages of `tick`, which are here."""
+        heard = self._inbox.heard
         if self._receiver is not None:
             heard = self._receiver.listen(tick, self._geometry, heard[self._inbox.side], self._mine)
         if self._steering is not None:
