@@ -74,8 +74,7 @@ class BirdProtocol(Listener):
         self._checkpoints = Checkpoints(bird, configuration, self._session)
         self._around = Neighbourhood(bird, configuration)
         schedule = configuration.link_table.exchange_schedule
-        members = configuration.members
-        self._inbox = StageInbox(self._around.birds, members, schedule, run_id, bird)
+        self._inbox = StageInbox(self._around.birds, configuration.members, schedule, run_id, bird)
         self._motion = LockstepMotion(bird, configuration, self._around, self._inbox, control)
         self.words = self._inbox.words
         """The words that the compiled exchange continues from; see `protocol/stage_words.py`."""
@@ -148,7 +147,28 @@ class BirdProtocol(Listener):
 
     def advance(self) -> list[Outgoing]:
         """Continue, stage by stage, as far as the messages and the grant allow."""
-        return self._advance() if self.in_flight and self._inbox.complete else []
+        out: list[Outgoing] = []
+        complete = self.in_flight and self._inbox.complete
+        if not complete:
+            return out
+        while complete:
+            tick = self.tick
+            step, stage = divmod(tick, STAGES)
+            if not self._held:
+                self._motion.advance(tick)
+            if stage == 0 and not self._held:
+                out += self._reports(step)
+            self._held = stage == 0 and step >= self._granted.step
+            if self._held:
+                break
+            if stage + 1 == STAGES:
+                self._push(step + 1)
+            if self._inbox.turn():
+                out.append((Channel.STAGE, self._motion.say()))
+                complete = self._inbox.complete
+        if self._held or not self.on_fast_path:
+            self._plan()
+        return out
 
     def report(self) -> list[Outgoing]:
         """Return the messages of a waiting bird: its progress and its last two stages.
@@ -214,7 +234,7 @@ class BirdProtocol(Listener):
         if grant.step <= self._granted.step:
             return []
         self._granted.extend(min(grant.step, self._end), self.step)
-        out = self._advance() if self._held else []
+        out = self.advance() if self._held else []
         self._plan()
         return out
 
@@ -244,40 +264,12 @@ class BirdProtocol(Listener):
             self._push(0)
         due = self._inbox.open(self._began)
         self._granted.extend(self._granted.step, self.step)
-        return [*([self._stage()] if due else []), *self.advance()]
+        return [*([(Channel.STAGE, self._motion.say())] if due else []), *self.advance()]
 
     def _push(self, step: int) -> None:
         """Apply the perturbations at the beginning of `step`."""
         if pushes := self._pushes.get(step):
             self._motion.push(pushes)
-
-    def _stage(self) -> Outgoing:
-        """Return the message with this tick's values."""
-        return Channel.STAGE, self._motion.say()
-
-    def _advance(self) -> list[Outgoing]:
-        out: list[Outgoing] = []
-        inbox = self._inbox
-        complete = inbox.complete
-        while complete:
-            tick = self.tick
-            step, stage = divmod(tick, STAGES)
-            if not self._held:
-                self._motion.advance(tick)
-            if stage == 0:
-                if not self._held:
-                    out += self._reports(step)
-                self._held = step >= self._granted.step
-                if self._held:
-                    break
-            if stage + 1 == STAGES:
-                self._push(step + 1)
-            if inbox.turn():
-                out.append(self._stage())
-                complete = inbox.complete
-        if self._held or not self.on_fast_path:
-            self._plan()
-        return out
 
     def _reports(self, step: int) -> list[Outgoing]:
         """Return the messages to the recorder and the clock at the beginning of `step`."""
