@@ -41,7 +41,7 @@ class Rewinds:
     _reached: int = 0  # the step reached before the last rewind
 
     def rewind(self, reached: int) -> None:
-        """Count a rewind. `reached` is the step of the flock; below 0 during another rewind."""
+        """Count a rewind. `reached` is the step of the flock, or 0 during another rewind."""
         self.count += 1
         self._reached = max(reached, self._reached)
 
