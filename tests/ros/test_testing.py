@@ -20,10 +20,10 @@ from flock_sim.nodes.bird import BirdNode
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
-from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.stage_kernels import move
 from flock_sim.protocol.control_force import Perception
 from flock_sim.recording.run import Run
-from flock_sim.reference.flock_kernel import forces, move
+from flock_sim.reference.flock_kernel import add_forces, fill_circulation
 from flock_sim.reference.integrator import Reference
 from flock_sim.ros.settings_check import shared_memory
 from flock_tools.runs.dataset import load
@@ -127,21 +127,23 @@ def forced(configuration: FlockConfiguration) -> FloatArray:
         [other - 1 for other in formation.neighbours(bird, flock.birds, configuration.coupling)]
         for bird in range(1, flock.birds + 1)
     ]
-    circulation, drag = np.empty_like(u), np.empty_like(u)
-    slopes = np.empty((2, STAGES, u.size))
+    circulation, interactions = np.empty_like(u), flock.interactions(flock.pairs)
+    sums = np.empty((2, u.size))
     speeds = [u.copy()]
     for step in range(configuration.steps):
         x_now, u_now = x.copy(), u.copy()
         for stage, node in enumerate((0.0, 0.5, 0.5, 1.0)):
-            coefficients = flock.coefficients.copy()
+            coefficients = flock.elements.reshape(5, *u.shape)
             for i, others in enumerate(around):
                 pull = (x_now[others] - x_now[i]).sum(axis=0)
                 wave = 0.1 * np.sin((step + node) * dt)
-                coefficients[i, 1] += 0.01 * pull + wave * (1.2 - u_now[i])
-            pairs, lateral, even = flock.pairs, flock.lateral, flock.even
-            half = flock.half_span
-            forces(x_now, u_now, coefficients, half, pairs, lateral, even, circulation, drag)
-            move(stage, dt, x, u, coefficients, drag, *slopes, x_now, u_now)
+                coefficients[1, i] += 0.01 * pull + wave * (1.2 - u_now[i])
+            drag = np.zeros_like(u)
+            fill_circulation(u_now.ravel(), coefficients[4].ravel(), circulation.reshape(-1))
+            add_forces(flock.pairs, x_now, circulation, interactions, drag)
+            rows = coefficients.reshape(5, -1)
+            start, now = (x.ravel(), u.ravel()), (x_now.reshape(-1), u_now.reshape(-1))
+            move(stage, dt, rows, drag.ravel(), *start, *sums, *now)
         x, u = x_now, u_now
         speeds.append(u.copy())
     return np.stack(speeds)

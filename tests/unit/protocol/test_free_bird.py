@@ -121,7 +121,12 @@ def test_without_news_it_flies_by_what_it_knew_moved_on() -> None:
 
     def slopes(t: float, y: np.ndarray) -> list[float]:
         x = 1.5 + speed * t - y[0]
-        geometry = flock.lateral[0, 0], own[5], flock.half_span[1, 0], flock.even[0, 0]
+        geometry = (
+            flock.lateral[0, 0],
+            flock.half_span[0, 0],
+            flock.half_span[1, 0],
+            flock.even[0, 0],
+        )
         drag, _ = drag_of_pair(x, *geometry, own[4] / y[1], circulation)
         return [y[1], acceleration(y[1], drag, *own[:4])]
 

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interaction of two birds, compiled: the kernels, and the integral I of whole arrays."""
+"""The interaction of two birds, compiled: single evaluations, and the integral I of arrays."""
 
 import numpy as np
 
 from flock_sim.physics import interaction
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.compile import elementwise, kernel
+from flock_sim.physics.compile import elementwise, inlined
 
-even_part = kernel(interaction.even_part)
-ahead_integral_and_slope = kernel(interaction.ahead_integral_and_slope)
-split_drag = kernel(interaction.split_drag)
+even_part = inlined(interaction.even_part)
+ahead_integral_and_slope = inlined(interaction.ahead_integral_and_slope)
+split_drag = inlined(interaction.split_drag)
 
 
-@kernel
+@inlined
 def ahead_integral(
     distance: float, lateral: float, source_half: float, target_half: float
 ) -> float:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compilation of loops over numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
@@ -14,18 +14,51 @@ Function = TypeVar("Function", bound=Callable[..., object])
 RULES = {"error_model": "numpy", "fastmath": False, "nogil": True}
 """Options of numba for all kernels."""
 
+_CALLABLE: set[FunctionType] = set()
+"""The plain functions that kernels can call."""
+
 
 def kernel(function: Function) -> Function:
     """Compile a loop over numbers; the compiled code of this package's kernels is kept on disk.
 
     Arithmetic follows IEEE 754 strictly: no `fastmath`, so that every caller gets the same bits,
     and 1/0 = inf, so that a diverging member does not stop the others. Loops release the global
-    interpreter lock, so threads can share the members of an ensemble.
+    interpreter lock, so threads can share the members of an ensemble. Plain functions of this
+    package that it calls are compiled into it.
     """
-    compiled: Function = numba.njit(**RULES)(function)
+    return _compiled(function)
+
+
+def inlined(function: Function) -> Function:
+    """Compile a function of numbers, by the same rules, into each loop that calls it.
+
+    A call would prevent the compiler from vectorising the loop.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Function, **options: bool) -> Function:
+    _let_kernels_call(_plain_callees(function))
+    compiled: Function = numba.njit(**RULES, **options)(function)
     if _can_be_kept(function):
         compiled._cache = KernelCache(function)  # type: ignore[attr-defined]
     return compiled
+
+
+def _plain_callees(function: Any) -> Iterator[FunctionType]:
+    """Yield the functions of this package that a plain function calls and that are not compiled."""
+    for name in function.__code__.co_names:
+        callee = function.__globals__.get(name)
+        if isinstance(callee, FunctionType) and _is_ours(callee):
+            yield callee
+
+
+def _let_kernels_call(functions: Iterable[FunctionType]) -> None:
+    for function in functions:
+        if function not in _CALLABLE:
+            _CALLABLE.add(function)
+            _let_kernels_call(_plain_callees(function))
+            numba.extending.register_jitable(**RULES, forceinline=True)(function)
 
 
 def anew(function: Function, **callees: Callable[..., object]) -> Function:
@@ -42,6 +75,7 @@ def anew(function: Function, **callees: Callable[..., object]) -> Function:
     # numba numbers functions of equal names in each process, and code from disk has the number of
     # another process. Code with the name and the number of this copy would be run instead of it.
     copy.__qualname__ = f"anew.{plain.__qualname__}"
+    _let_kernels_call(_plain_callees(copy))
     compiled: Function = numba.njit(**RULES)(copy)
     return compiled
 
@@ -57,4 +91,8 @@ def elementwise(function: Callable[..., float]) -> Callable[..., FloatArray]:
 def _can_be_kept(function: Callable[..., object]) -> bool:
     """Whether a function is of this package and has no closure: the sources define it fully."""
     plain: Any = function
-    return plain.__closure__ is None and plain.__module__.startswith(f"{PACKAGE.name}.")
+    return plain.__closure__ is None and _is_ours(function)
+
+
+def _is_ours(function: Callable[..., object]) -> bool:
+    return function.__module__.startswith(f"{PACKAGE.name}.")

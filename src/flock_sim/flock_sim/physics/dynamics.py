@@ -1,24 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equation of motion of one bird and its time step, as functions that all kernels share.
+"""The equation of motion of one bird, as functions of numbers that all kernels share.
 
-The distributed flight and the reference call the same functions in the same order. Therefore their
-results agree bit for bit.
+The distributed flight and the reference compute the same functions in the same order. Therefore
+their results agree bit for bit.
 """
 
+from math import nan
+
 from flock_sim.physics.aerodynamics import ahead_integral, split_drag
-from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.compile import kernel
+from flock_sim.physics.compile import inlined
 from flock_sim.physics.interaction import PER_FOUR_PI
-from flock_sim.physics.runge_kutta import TABLEAU
 
 
-@kernel
+@inlined
+def canonical(value: float) -> float:
+    """Return `value`, and for every NaN the one with the same bits on all machines.
+
+    The sign of the NaN of inf - inf depends on the processor.
+    """
+    return value if value == value else nan
+
+
+@inlined
 def circulation_at(speed: float, coefficient: float) -> float:
     """Return Gamma_j = lambda_j^2 Gamma_min / U_j, in b U_min. Eq. (Gamma), scaled."""
-    return coefficient / speed
+    return canonical(coefficient / speed)
 
 
-@kernel
+@inlined
 def acceleration(
     speed: float, drag: float, mass: float, thrust: float, profile: float, induced: float
 ) -> float:
@@ -30,7 +39,7 @@ def acceleration(
     return (thrust - (profile * square + induced / square) - drag) / mass
 
 
-@kernel
+@inlined
 def drag_of_pair(
     x: float,
     lateral: float,
@@ -48,15 +57,3 @@ def drag_of_pair(
     strength = circulation * other_circulation * PER_FOUR_PI
     ahead = ahead_integral(abs(x), lateral, half, other_half)
     return split_drag(x, strength, ahead, even)
-
-
-@kernel
-def stage_value(start: float, dt: float, slopes: FloatArray, row: int, k: int) -> float:
-    """Return the value of quantity `k` at stage `row`, or at the end of the step for row 4.
-
-    `start` is its value at the beginning of the step, `slopes` has shape (stages, quantities).
-    """
-    total = 0.0
-    for stage in range(row):
-        total += TABLEAU[row, stage] * slopes[stage, k]
-    return start + dt * total

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.physics import formation
-from flock_sim.physics.aerodynamics import even_part
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.compile import kernel
 from flock_sim.physics.scaling import BirdCoefficients, Scales
+from flock_sim.physics.stage_kernels import EVEN, fill_interactions, interaction_array
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -63,6 +62,11 @@ class Flock:
         """The rows of `BirdCoefficients`, shape (birds, 5, members)."""
         return np.stack([BirdCoefficients.of(self.scales, row).rows() for row in self.span_ratio])
 
+    @property
+    def elements(self) -> FloatArray:
+        """The same in the order of `physics.stage_kernels`, shape (5, birds * members)."""
+        return np.ascontiguousarray(self.coefficients.swapaxes(0, 1)).reshape(5, -1)
+
     @cached_property
     def half_span(self) -> FloatArray:
         """Vortex half-spans a_i, shape (birds, members), in b."""
@@ -85,16 +89,22 @@ class Flock:
     @cached_property
     def even(self) -> FloatArray:
         """E of each pair, shape (pairs, members)."""
-        even = np.empty_like(self.lateral)
-        _fill_even(self.pairs, self.lateral, self.half_span, even)
-        return even
+        even: FloatArray = self.interactions(self.pairs)[EVEN, : self.lateral.size]
+        return even.reshape(self.lateral.shape)
 
+    def interactions(self, pairs: npt.NDArray[np.int64]) -> FloatArray:
+        """Return the interaction array of `pairs`, indices of a bird and another one, (pairs, 2).
 
-@kernel
-def _fill_even(
-    pairs: npt.NDArray[np.int64], lateral: FloatArray, half_span: FloatArray, even: FloatArray
-) -> None:
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        for m in range(lateral.shape[1]):
-            even[k, m] = even_part(lateral[k, m], half_span[i, m], half_span[j, m])
+        Each must be one of `self.pairs`, in either order.
+        """
+        index = {(i, j): k for k, (i, j) in enumerate(self.pairs.tolist())}
+        array = interaction_array(len(pairs), self.members)
+        for k, (i, j) in enumerate(pairs.tolist()):
+            fill_interactions(
+                array,
+                k * self.members,
+                self.lateral[index[min(i, j), max(i, j)]],
+                self.half_span[i],
+                self.half_span[j],
+            )
+        return array

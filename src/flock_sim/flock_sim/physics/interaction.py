@@ -22,17 +22,19 @@ One evaluation of f (four square roots, one logarithm) gives both D_ij and D_ji,
 decides which is which. It also gives the derivative f'(X) = (J(p) + J(s) - J(q) - J(r)) / X^2,
 since all its terms are known.
 
-These are plain functions of numbers, for a few evaluations without numba. `physics.aerodynamics`
-compiles kernels from them: the operations are the same, and so are the bits.
+These are plain functions of numbers without branches. Kernels that call them compile them in, so
+that a loop over pairs or members is vectorised; `physics.aerodynamics` compiles each of them for
+single evaluations. The operations are the same everywhere, and so are the bits.
 """
 
-from math import log, log1p, pi, sqrt
+from math import pi, sqrt
+
+from flock_sim.physics.logarithm import log_of_quotient
 
 PER_FOUR_PI = 1.0 / (4.0 * pi)
 
-# Below this argument log1p loses digits by cancellation as the inner vortices come close; the plain
-# logarithm of the product of edges does not.
-NEAR_TOUCH = -0.5
+FAR = 1e30
+"""Distance in b beyond which f and f' are those at this distance: they are below 1e-59."""
 
 
 def even_part(lateral: float, source_half: float, target_half: float) -> float:
@@ -46,10 +48,9 @@ def even_part(lateral: float, source_half: float, target_half: float) -> float:
     small = min(source_half, target_half)
     outer = lateral + large
     inner = lateral - large
-    excess = -4.0 * large * small / ((outer - small) * (inner + small))
-    if excess < NEAR_TOUCH:
-        return log((outer + small) * (inner - small) / ((outer - small) * (inner + small)))
-    return log1p(excess)
+    outer_product = (outer + small) * (inner - small)
+    inner_product = (outer - small) * (inner + small)
+    return log_of_quotient(outer_product, inner_product, -4.0 * large * small)
 
 
 def ahead_integral_and_slope(
@@ -57,12 +58,18 @@ def ahead_integral_and_slope(
 ) -> tuple[float, float]:
     """Return f of `ahead_integral` and its derivative f' > 0 by the distance X, in 1 / b.
 
-    J(p) + J(s) - J(q) - J(r) = X^2 f' is computed in two ways. Close by, it is computed from
-    J(u) - u = X^2 / (J(u) + u), where the leading terms cancel by p + s = q + r. Far away, it is
-    computed from differences of squares, since the J themselves become equal. The argument of the
-    logarithm minus one follows from it by
+    Differences of nearly equal numbers are avoided as follows. From J(u) - u = X^2 / (J(u) + u) and
+    J(u)^2 - J(v)^2 = u^2 - v^2, with u_ = J(u) + u, A = max(a, a') and B = min(a, a'):
+
+        f' = 4 B [(y + A) (r_ + s_) p_ q_ - (y - A) (p_ + q_) r_ s_]
+             / [p_ q_ r_ s_ (J(p) + J(q)) (J(r) + J(s))]
+
+    The difference of numerator and denominator of the logarithm's argument is
+    X^3 f' + J(p) J(s) - J(q) J(r), where
     J(p) J(s) - J(q) J(r) = 8 a a' (X^2 - y^2 + a^2 + a'^2) / (J(p) J(s) + J(q) J(r)).
+    Both fractions share one division.
     """
+    x = FAR if distance > FAR else distance  # NaN stays
     large = max(source_half, target_half)
     small = min(source_half, target_half)
     outer = lateral + large
@@ -71,45 +78,41 @@ def ahead_integral_and_slope(
     q = outer - small
     r = inner + small
     s = inner - small
-    square = distance * distance
+    square = x * x
     j_p = sqrt(square + p * p)
     j_q = sqrt(square + q * q)
     j_r = sqrt(square + r * r)
     j_s = sqrt(square + s * s)
 
-    if distance < lateral:
-        plus_p = j_p + p
-        plus_q = j_q + q
-        plus_r = j_r + r
-        plus_s = j_s + s
-        p_s = plus_p * plus_s
-        q_r = plus_q * plus_r
-        slope = ((plus_p + plus_s) * q_r - (plus_q + plus_r) * p_s) / (p_s * q_r)
-        bound = distance * slope
-    else:
-        j_pq = j_p + j_q
-        j_sr = j_s + j_r
-        bound = 4.0 * small * (outer * j_sr - inner * j_pq) / (j_pq * j_sr * distance)
-        slope = bound / distance
+    plus_p = j_p + p
+    plus_q = j_q + q
+    plus_r = j_r + r
+    plus_s = j_s + s
+    pq = plus_p * plus_q
+    rs = plus_r * plus_s
+    slope_top = 4.0 * small * (outer * (plus_r + plus_s) * pq - inner * (plus_p + plus_q) * rs)
+    slope_bottom = pq * rs * ((j_p + j_q) * (j_r + j_s))
+    beyond_top = (
+        8.0 * large * small * (square - (lateral * lateral - large * large - small * small))
+    )
+    beyond_bottom = j_p * j_s + j_q * j_r
+    reciprocal = 1.0 / (slope_bottom * beyond_bottom)
+    slope = slope_top * beyond_bottom * reciprocal
+    difference = (x * square * slope_top * beyond_bottom + beyond_top * slope_bottom) * reciprocal
 
-    product = j_p * j_s + j_q * j_r
-    beyond = square - (lateral * lateral - large * large - small * small)
-    denominator = (distance + j_q) * (distance + j_r)
-    excess = (square * bound + 8.0 * large * small * beyond / product) / denominator
-    if excess < NEAR_TOUCH:
-        return log((distance + j_p) * (distance + j_s) / denominator) - bound, slope
-    return log1p(excess) - bound, slope
+    n = (x + j_p) * (x + j_s)
+    d = (x + j_q) * (x + j_r)
+    return log_of_quotient(n, d, difference) - x * slope, slope
 
 
 def split_drag(x: float, strength: float, ahead: float, even: float) -> tuple[float, float]:
     """Return the drags of a pair (on a bird, on the other), in the unit of `strength`. Eq. (Djk2).
 
     `x` is the other's position minus the bird's, `strength` is Gamma_i Gamma_j / (4 pi), `ahead` is
-    f(|x|) and `even` is E of the pair. With strength 1, the results are the integrals I.
+    f(|x|) and `even` is E of the pair. With strength 1, the results are the integrals I. Side by
+    side, both birds get E, in either order.
     """
     behind = 2.0 * even - ahead
-    if x > 0.0:
-        return strength * behind, strength * ahead
-    if x < 0.0:
-        return strength * ahead, strength * behind
-    return strength * ahead, strength * ahead  # side by side: both get E, in either order
+    on_bird = behind if x > 0.0 else ahead
+    on_other = behind if x < 0.0 else ahead
+    return strength * on_bird, strength * on_other

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Runge-Kutta method, as data; `dynamics.stage_value` applies it."""
+"""The Runge-Kutta method, as data; `stage_kernels.move` applies it."""
 
 import numpy as np
 

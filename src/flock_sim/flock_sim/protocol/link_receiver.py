@@ -13,6 +13,7 @@ from flock_sim.links.channel import Hear, hear, hearing
 from flock_sim.messages.stage_layout import FIRST_WORD, stage_words
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.stage_kernels import LATERAL
 
 
 class LinkReceiver:
@@ -41,19 +42,19 @@ class LinkReceiver:
             self.memory = self._plan.memory()
 
     def listen(
-        self, tick: int, geometry: FloatArray, said: FloatArray, mine: FloatArray
+        self, tick: int, interactions: FloatArray, said: FloatArray, mine: FloatArray
     ) -> FloatArray:
         """Return the known values at `tick`, as stage messages without the speed.
 
         `said` has shape (neighbours, words): the messages of this tick if it has an exchange.
-        `geometry` and `mine` are as in `feel_and_move`; the result is its `heard`, for this tick.
+        `interactions` and `mine` are as in `feel_and_move`; the result is its `heard` at this tick.
         """
         self._listen(
             tick,
             self._dt,
             self._plan.links,
             self._plan.faults,
-            geometry,
+            interactions,
             said,
             mine,
             self.memory,
@@ -68,7 +69,7 @@ def _listen(
     dt: float,
     links: IntArray,
     faults: FloatArray,
-    geometry: FloatArray,
+    interactions: FloatArray,
     said: FloatArray,
     mine: FloatArray,
     memory: FloatArray,
@@ -86,7 +87,7 @@ def _listen(
             dt,
             links[k],
             faults[k],
-            geometry[k, 0],
+            interactions[LATERAL, k * members : (k + 1) * members],
             said[k, position : position + members],
             said[k, speed : speed + members],
             said[k, circulation : circulation + members],

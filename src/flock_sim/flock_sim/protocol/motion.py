@@ -40,7 +40,7 @@ class Motion:
         self.bird = bird
         self._configuration = configuration
         self._dt = configuration.dt
-        self._geometry = around.geometry
+        self._interactions = around.interactions
         self._own = constants(bird, configuration)
         self._mine = np.zeros((2, stage_words(members)))
         self._work = np.zeros((WORK_ROWS, members))
@@ -64,7 +64,7 @@ class Motion:
 
         `heard` has the messages of the neighbours, as in `feel_and_move`.
         """
-        feel_and_move(tick, self._dt, self._own, self._geometry, heard, self._mine, self._work)
+        feel_and_move(tick, self._dt, self._own, self._interactions, heard, self._mine, self._work)
 
     def numbers(self, tick: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, speed and circulation at `tick`, each of shape (members,)."""
@@ -98,7 +98,7 @@ class LockstepMotion(Motion):
         )
         remembers = configuration.link_table.remembers(bird)
         self._receiver = LinkReceiver(bird, configuration) if remembers else None
-        arrays = (self._own, self._geometry, inbox.heard, self._mine, self._work, self._said)
+        arrays = (self._own, self._interactions, inbox.heard, self._mine, self._work, self._said)
         for address, array in enumerate(arrays, OWN):
             assert array.flags.c_contiguous
             inbox.words[address] = array.ctypes.data
@@ -125,7 +125,9 @@ class LockstepMotion(Motion):
         """Compute the values at the next tick from the messages of `tick`, which are here."""
         heard = self._inbox.heard
         if self._receiver is not None:
-            heard = self._receiver.listen(tick, self._geometry, heard[self._inbox.side], self._mine)
+            heard = self._receiver.listen(
+                tick, self._interactions, heard[self._inbox.side], self._mine
+            )
         if self._steering is not None:
             self._steering.steer(tick, heard, self._mine)
         self.compute(tick, heard)

@@ -13,8 +13,7 @@ from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, STRANGE
 from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Grant, Progress, Wing
 from flock_sim.physics import formation
-from flock_sim.physics.aerodynamics import even_part
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.stage_kernels import fill_interactions, interaction_array
 from flock_sim.protocol.session import Channel, Outgoing, Session
 
 EARLY = 16
@@ -24,14 +23,14 @@ EARLY = 16
 class Neighbourhood:
     """The neighbours of one bird. `birds` are their numbers, in ascending order.
 
-    `geometry` has shape (neighbours, 3, members): lateral distance, half-span and the even part of
-    the interaction integral; it is filled once every wing is known.
+    `interactions` is the interaction array of this bird and each of them, which is filled once
+    every wing is known.
     """
 
     def __init__(self, bird: int, configuration: FlockConfiguration) -> None:
         """Start with the wing of `bird` alone."""
         self.birds = formation.neighbours(bird, configuration.birds, configuration.coupling)
-        self.geometry: FloatArray = np.empty((len(self.birds), 3, configuration.members))
+        self.interactions = interaction_array(len(self.birds), configuration.members)
         self._bird = bird
         self._members = configuration.members
         self._wings = {bird: configuration.span_ratio[bird - 1]}
@@ -81,14 +80,13 @@ class Neighbourhood:
         for k, other in enumerate(self.birds):
             low, high = sorted((self._bird, other))
             row = np.stack([self._wings[between] for between in range(low, high + 1)])
-            self.geometry[k, 0] = formation.lateral_distance(row)
-            self.geometry[k, 1] = formation.VORTEX_FRACTION * self._wings[other]
-            for m in range(self._members):
-                self.geometry[k, 2, m] = even_part(
-                    self.geometry[k, 0, m],
-                    formation.VORTEX_FRACTION * row[0, m],
-                    formation.VORTEX_FRACTION * row[-1, m],
-                )
+            fill_interactions(
+                self.interactions,
+                k * self._members,
+                formation.lateral_distance(row),
+                formation.VORTEX_FRACTION * self._wings[self._bird],
+                formation.VORTEX_FRACTION * self._wings[other],
+            )
 
 
 class Listener:

@@ -35,7 +35,7 @@ SENT, FOREIGN = 11, 12
 # Number of messages that are lacking on each side.
 LACKING = 13
 # The addresses of the array arguments of `feel_and_move`, and of the last two messages sent.
-OWN, GEOMETRY, HEARD, MINE, WORK, SAID = range(15, 21)
+OWN, INTERACTIONS, HEARD, MINE, WORK, SAID = range(15, 21)
 # The addresses of the publisher, of the buffer for incoming messages, and of the messages to send
 # on each side: structures of rcl.
 PUBLISHER, INCOMING, OUTGOING = 21, 22, 23

@@ -12,106 +12,85 @@ from flock_sim.links.channel import Hear, hear
 from flock_sim.links.link_table import SOURCE, TARGET
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.compile import anew, kernel
-from flock_sim.physics.dynamics import acceleration, circulation_at, drag_of_pair, stage_value
+from flock_sim.physics.dynamics import canonical, circulation_at
 from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.stage_kernels import (
+    CIRCULATION,
+    DISTANCE,
+    LATERAL,
+    ON_BIRD,
+    ON_OTHER,
+    OTHER_CIRCULATION,
+    compute_drags,
+    move,
+)
 
 
 @kernel
-def forces(
-    position: FloatArray,
-    speed: FloatArray,
-    coefficients: FloatArray,
-    half_span: FloatArray,
+def fill_circulation(speed: FloatArray, coefficient: FloatArray, circulation: FloatArray) -> None:
+    """Fill `circulation`; all arrays have shape (birds * members,)."""
+    for i in range(speed.shape[0]):
+        circulation[i] = circulation_at(speed[i], coefficient[i])
+
+
+@kernel
+def add_forces(
     pairs: IntArray,
-    lateral: FloatArray,
-    even: FloatArray,
+    position: FloatArray,
     circulation: FloatArray,
+    interactions: FloatArray,
     drag: FloatArray,
 ) -> None:
-    """Fill `circulation` and `drag`, both (birds, members), pair by pair in ascending order."""
-    birds, members = position.shape
-    for i in range(birds):
-        for m in range(members):
-            circulation[i, m] = circulation_at(speed[i, m], coefficients[i, 4, m])
-            drag[i, m] = 0.0
+    """Add the drags of `pairs` (pairs, 2) to `drag`, pair by pair in ascending order.
+
+    `interactions` is their interaction array; the others have shape (birds, members).
+    """
+    members = position.shape[1]
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         for m in range(members):
-            on_i, on_j = drag_of_pair(
-                position[j, m] - position[i, m],
-                lateral[k, m],
-                half_span[i, m],
-                half_span[j, m],
-                even[k, m],
-                circulation[i, m],
-                circulation[j, m],
-            )
-            drag[i, m] += on_i
-            drag[j, m] += on_j
-
-
-@kernel
-def move(
-    stage: int,
-    dt: float,
-    position: FloatArray,
-    speed: FloatArray,
-    coefficients: FloatArray,
-    drag: FloatArray,
-    velocity_slopes: FloatArray,
-    speed_slopes: FloatArray,
-    position_now: FloatArray,
-    speed_now: FloatArray,
-) -> None:
-    """Compute the slopes at `stage`, and from these the values at the next stage."""
-    birds, members = position.shape
-    for i in range(birds):
+            at = k * members + m
+            interactions[DISTANCE, at] = position[j, m] - position[i, m]
+            interactions[CIRCULATION, at] = circulation[i, m]
+            interactions[OTHER_CIRCULATION, at] = circulation[j, m]
+    compute_drags(interactions)
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
         for m in range(members):
-            k = i * members + m
-            velocity_slopes[stage, k] = speed_now[i, m]
-            speed_slopes[stage, k] = acceleration(
-                speed_now[i, m],
-                drag[i, m],
-                coefficients[i, 0, m],
-                coefficients[i, 1, m],
-                coefficients[i, 2, m],
-                coefficients[i, 3, m],
-            )
-            position_now[i, m] = stage_value(position[i, m], dt, velocity_slopes, stage + 1, k)
-            speed_now[i, m] = stage_value(speed[i, m], dt, speed_slopes, stage + 1, k)
+            at = k * members + m
+            drag[i, m] = canonical(drag[i, m] + interactions[ON_BIRD, at])
+            drag[j, m] = canonical(drag[j, m] + interactions[ON_OTHER, at])
 
 
 @kernel
 def add_forces_over_links(
     tick: int,
     dt: float,
-    position: FloatArray,
-    speed: FloatArray,
-    half_span: FloatArray,
-    lateral: FloatArray,
-    even: FloatArray,
     links: IntArray,
-    pair_of: IntArray,
     faults: FloatArray,
     memory: FloatArray,
+    position: FloatArray,
+    speed: FloatArray,
     circulation: FloatArray,
+    interactions: FloatArray,
     drag: FloatArray,
 ) -> None:
     """Add to `drag`, at `tick`, what each target computes from its link, and update the memory.
 
-    `pair_of` (links,) has the pair of each link; `links`, `faults` and `memory` are those of a
-    Plan. The other arrays are those of `forces`, at the stage of `tick`.
+    `links`, `faults` and `memory` are those of a Plan, `interactions` is the interaction array of
+    its links. The others have shape (birds, members).
     """
     members = position.shape[1]
     known_position, known_circulation = np.empty(members), np.empty(members)
     for k in range(links.shape[0]):
-        i, j, pair = links[k, SOURCE] - 1, links[k, TARGET] - 1, pair_of[k]
+        i, j = links[k, SOURCE] - 1, links[k, TARGET] - 1
+        first = k * members
         hear(
             tick,
             dt,
             links[k],
             faults[k],
-            lateral[pair],
+            interactions[LATERAL, first : first + members],
             position[i],
             speed[i],
             circulation[i],
@@ -121,16 +100,54 @@ def add_forces_over_links(
             known_circulation,
         )
         for m in range(members):
-            on_j, _ = drag_of_pair(
-                known_position[m] - position[j, m],
-                lateral[pair, m],
-                half_span[j, m],
-                half_span[i, m],
-                even[pair, m],
-                circulation[j, m],
-                known_circulation[m],
-            )
-            drag[j, m] += on_j
+            interactions[DISTANCE, first + m] = known_position[m] - position[j, m]
+            interactions[CIRCULATION, first + m] = circulation[j, m]
+            interactions[OTHER_CIRCULATION, first + m] = known_circulation[m]
+    compute_drags(interactions)
+    for k in range(links.shape[0]):
+        j = links[k, TARGET] - 1
+        for m in range(members):
+            drag[j, m] = canonical(drag[j, m] + interactions[ON_BIRD, k * members + m])
+
+
+@kernel
+def forces(
+    tick: int,
+    dt: float,
+    coefficients: FloatArray,
+    pairs: IntArray,
+    links: IntArray,
+    faults: FloatArray,
+    memory: FloatArray,
+    interactions: FloatArray,
+    position: FloatArray,
+    speed: FloatArray,
+    circulation: FloatArray,
+    drag: FloatArray,
+) -> None:
+    """Fill `circulation` and `drag`, both (birds, members), at `tick`.
+
+    The birds of `pairs` have each other's present values, others what `links` transmit: one of the
+    two is empty, and `interactions` are those of the other. `coefficients` has shape
+    (5, birds * members).
+    """
+    fill_circulation(speed.reshape(-1), coefficients[4], circulation.reshape(-1))
+    drag[:] = 0.0
+    if links.shape[0] > 0:
+        add_forces_over_links(
+            tick,
+            dt,
+            links,
+            faults,
+            memory,
+            position,
+            speed,
+            circulation,
+            interactions,
+            drag,
+        )
+    else:
+        add_forces(pairs, position, circulation, interactions, drag)
 
 
 @kernel
@@ -142,58 +159,38 @@ def advance(
     until: int,
     every: int,
     coefficients: FloatArray,
-    half_span: FloatArray,
     pairs: IntArray,
-    lateral: FloatArray,
-    even: FloatArray,
     links: IntArray,
-    pair_of: IntArray,
     faults: FloatArray,
     memory: FloatArray,
+    interactions: FloatArray,
     recorded: FloatArray,
 ) -> None:
     """Take the steps from `first` to below `until` in place, recording multiples of `every`.
 
-    The birds of `pairs` have each other's present values, others what `links` transmit.
-    `recorded` has shape (records, 4, birds, members).
+    `recorded` has shape (records, 4, birds, members); the others are as in `forces`.
     """
-    position_now = position.copy()
-    speed_now = speed.copy()
-    circulation = np.empty_like(speed)
-    drag = np.empty_like(speed)
-    velocity_slopes = np.empty((STAGES, position.size))
-    speed_slopes = np.empty((STAGES, position.size))
+    position_now, speed_now = position.copy(), speed.copy()
+    circulation, drag = np.empty_like(speed), np.empty_like(speed)
+    position_slopes, speed_slopes = np.empty(speed.size), np.empty(speed.size)
 
     records = 0
     for step in range(first, until):
         for stage in range(STAGES):
             forces(
+                STAGES * step + stage,
+                dt,
+                coefficients,
+                pairs,
+                links,
+                faults,
+                memory,
+                interactions,
                 position_now,
                 speed_now,
-                coefficients,
-                half_span,
-                pairs,
-                lateral,
-                even,
                 circulation,
                 drag,
             )
-            if links.shape[0] > 0:
-                add_forces_over_links(
-                    STAGES * step + stage,
-                    dt,
-                    position_now,
-                    speed_now,
-                    half_span,
-                    lateral,
-                    even,
-                    links,
-                    pair_of,
-                    faults,
-                    memory,
-                    circulation,
-                    drag,
-                )
             if stage == 0 and step % every == 0:
                 row = recorded[records]
                 records += 1
@@ -201,14 +198,14 @@ def advance(
             move(
                 stage,
                 dt,
-                position,
-                speed,
                 coefficients,
-                drag,
-                velocity_slopes,
+                drag.reshape(-1),
+                position.reshape(-1),
+                speed.reshape(-1),
+                position_slopes,
                 speed_slopes,
-                position_now,
-                speed_now,
+                position_now.reshape(-1),
+                speed_now.reshape(-1),
             )
         position[:] = position_now
         speed[:] = speed_now
@@ -216,8 +213,9 @@ def advance(
 
 @cache
 def flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return `add_forces_over_links` and `advance` for `heard`, `hear` or that of `hearing`."""
+    """Return `forces` and `advance` for `heard`, which is `hear` or the result of `hearing`."""
     if heard is hear:
-        return add_forces_over_links, advance
-    add = anew(add_forces_over_links, hear=heard)
-    return add, anew(advance, add_forces_over_links=add)
+        return forces, advance
+    over_links = anew(add_forces_over_links, hear=heard)
+    all_forces = anew(forces, add_forces_over_links=over_links)
+    return all_forces, anew(advance, forces=all_forces)

@@ -11,13 +11,13 @@ import numpy as np
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, in_order
 from flock_sim.links.channel import hear, hearing
-from flock_sim.links.link_table import SOURCE, TARGET, Plan
+from flock_sim.links.link_table import SOURCE, TARGET
 from flock_sim.physics import formation
-from flock_sim.physics.arrays import FloatArray, IntArray
+from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.reference.flock_kernel import flying, forces
+from flock_sim.reference.flock_kernel import flying
 
 RECORDED = 4
 """Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
@@ -52,11 +52,18 @@ class Reference:
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
         plain = configuration.link_table.plain
-        self._add_over_links, self._advance = flying(hear if plain else hearing())
+        self._forces, self._advance = flying(hear if plain else hearing())
         plan = configuration.link_table.plan(range(1, 1 if plain else birds + 1), members)
-        self._pairs = self.flock.pairs if plain else self.flock.pairs[:0]
-        self._links = plan.links, _pairs_of(plan, self.flock.pairs), plan.faults
-        self._memory = plan.memory()
+        pairs = self.flock.pairs
+        interacting = pairs if plain else plan.links[:, [TARGET, SOURCE]] - 1
+        self._flown = (
+            self.flock.elements,
+            pairs if plain else pairs[:0],
+            plan.links,
+            plan.faults,
+            plan.memory(),
+            self.flock.interactions(interacting),
+        )
         self._pushes = deque(in_order([*configuration.pushes, *live]))
         for perturbation in self._pushes:
             perturbation.check(birds, members, configuration.steps)
@@ -101,7 +108,7 @@ class Reference:
 
     def _integrate(self, until: int, recorded: FloatArray) -> None:
         """Take all steps to the beginning of step `until`, before its pushes."""
-        flown, flock = self.configuration, self.flock
+        flown = self.configuration
         self._advance(
             self.position,
             self.speed,
@@ -109,13 +116,7 @@ class Reference:
             self.step,
             until,
             flown.record_every,
-            flock.coefficients,
-            flock.half_span,
-            self._pairs,
-            flock.lateral,
-            flock.even,
-            *self._links,
-            self._memory,
+            *self._flown,
             recorded,
         )
         self.step = until
@@ -129,35 +130,20 @@ class Reference:
 
     def observe(self) -> FloatArray:
         """Return the present state as `advance` records it, shape (4, birds, members)."""
-        flock = self.flock
-        present = self.position, self.speed
+        coefficients, pairs, links, faults, memory, interactions = self._flown
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
-        geometry = flock.lateral, flock.even
-        forces(
-            *present,
-            flock.coefficients,
-            flock.half_span,
-            self._pairs,
-            *geometry,
-            circulation,
-            drag,
-        )
-        self._add_over_links(
+        self._forces(
             STAGES * self.step,
             self.configuration.dt,
-            *present,
-            flock.half_span,
-            *geometry,
-            *self._links,
-            self._memory.copy(),  # a copy: the next step receives the present messages
+            coefficients,
+            pairs,
+            links,
+            faults,
+            memory.copy(),  # a copy: the next step receives the present messages
+            interactions,
+            self.position,
+            self.speed,
             circulation,
             drag,
         )
         return np.stack([self.position, self.speed, circulation, drag])
-
-
-def _pairs_of(plan: Plan, pairs: IntArray) -> IntArray:
-    """Return the index in `pairs` of the two birds of each link, shape (links,)."""
-    index = {(i + 1, j + 1): k for k, (i, j) in enumerate(pairs.tolist())}
-    birds = plan.links[:, [SOURCE, TARGET]].tolist()
-    return np.array([index[min(pair), max(pair)] for pair in birds], dtype=np.int64)

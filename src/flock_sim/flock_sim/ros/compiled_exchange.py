@@ -23,18 +23,19 @@ from flock_sim.messages.stage_layout import WORD
 from flock_sim.physics.arrays import IntArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.compiler import numba
+from flock_sim.physics.stage_kernels import ROWS, elements
 from flock_sim.protocol.bird import BirdProtocol
-from flock_sim.protocol.bird_kernel import WORK_ROWS, feel_and_move
+from flock_sim.protocol.bird_kernel import OWN_ROWS, WORK_ROWS, feel_and_move
 from flock_sim.protocol.stage_words import (
     ADDRESS,
     EACH,
     END,
     FIRST,
     FOREIGN,
-    GEOMETRY,
     HEARD,
     HERE,
     INCOMING,
+    INTERACTIONS,
     LACKING,
     MEMBERS,
     MINE,
@@ -103,8 +104,9 @@ def exchange(words: IntArray, dt: float, thorough: bool) -> int:
     """
     members, count = words[MEMBERS], words[NEIGHBOURS]
     width = (row(words, MINE, 1) - row(words, MINE, 0)) // WORD
-    own = numba.carray(pointer(words[OWN]), (6, members), np.float64)
-    geometry = numba.carray(pointer(words[GEOMETRY]), (count, 3, members), np.float64)
+    own = numba.carray(pointer(words[OWN]), (OWN_ROWS, members), np.float64)
+    shape = ROWS, elements(count * members)
+    interactions = numba.carray(pointer(words[INTERACTIONS]), shape, np.float64)
     heard = numba.carray(pointer(words[HEARD]), (2, count, width), np.float64)
     mine = numba.carray(pointer(words[MINE]), (2, width), np.float64)
     work = numba.carray(pointer(words[WORK]), (WORK_ROWS, members), np.float64)
@@ -115,7 +117,7 @@ def exchange(words: IntArray, dt: float, thorough: bool) -> int:
                 return outcome
         if words[LACKING + words[SIDE]]:
             return WAITS
-        feel_and_move(words[TICK], dt, own, geometry, heard, mine, work)
+        feel_and_move(words[TICK], dt, own, interactions, heard, mine, work)
         words[TICK] += 1
         turn(words, words[TICK] + 1)
         say(words)
