@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -57,6 +58,18 @@ def test_gaussians_have_the_moments_of_the_normal_distribution():
         error = math.sqrt((square - moment**2) / DRAWS)
         assert np.all(abs((g**order).mean(axis=0) - moment) < SIGMAS * error)
     assert abs((g[:, 0] * g[:, 1]).mean()) < SIGMAS / math.sqrt(DRAWS)
+
+
+def test_gaussians_are_those_of_box_and_muller_to_some_last_places():
+    # The sine has an error below 1.9 ulp, the root of the logarithm below 1, the product rounds
+    # once; an ulp of a factor can be two of the product.
+    with mpmath.workdps(40):
+        for step in range(500):
+            u, v = map(mpmath.mpf, uniforms(1, 3, 4, step, NOISE))
+            radius, angle = mpmath.sqrt(-2 * mpmath.log(1 - u)), 2 * mpmath.pi * v
+            exact = radius * mpmath.cos(angle), radius * mpmath.sin(angle)
+            for value, wanted in zip(gaussians(1, 3, 4, step, NOISE), exact, strict=True):
+                assert abs(mpmath.mpf(value) - wanted) < 7 * math.ulp(float(wanted))
 
 
 def test_numbers_for_another_seed_link_step_or_purpose_are_others():

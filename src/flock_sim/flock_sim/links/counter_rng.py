@@ -14,6 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from flock_sim.physics import trigonometry
 from flock_sim.physics.compile import kernel
 
 Word: TypeAlias = np.uint64
@@ -31,6 +32,8 @@ _WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)  # golden ratio, square roo
 
 _HIGH_BITS, _LOW_BITS = np.uint64(5), np.uint64(6)  # 27 and 26 bits are left of 32: 53 in all
 _SHIFT, _UNIT = 2.0**26, 2.0**-53
+
+_sine_and_cosine = kernel(trigonometry.sine_and_cosine)
 
 
 @kernel
@@ -75,5 +78,5 @@ def gaussians(seed: int, source: int, target: int, step: int, kind: int) -> tupl
     """Return two numbers of the standard normal distribution, by Box and Muller's method."""
     u, v = uniforms(seed, source, target, step, kind)
     radius = math.sqrt(-2.0 * math.log(1.0 - u))
-    angle = 2.0 * math.pi * v
-    return radius * math.cos(angle), radius * math.sin(angle)
+    sine, cosine = _sine_and_cosine(v)
+    return radius * cosine, radius * sine
