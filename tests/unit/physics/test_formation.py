@@ -97,8 +97,16 @@ def test_flight_starts_in_a_v_of_45_degrees_half_angle_with_the_leader_at_its_ti
         if bird != head:
             behind = -formation.start_position(bird, birds)
             angle = degrees(atan2(abs(lateral[bird - 1]), behind))
-            # tan(45 degrees) is one ulp off, and a sum of up to 12 spacings some ulps more.
+            # A sum of up to 12 spacings is some ulps off.
             assert angle == pytest.approx(45.0, abs=45.0 * 16 * EPS)
+
+
+@given(birds=flocks)
+def test_start_positions_are_whole_multiples_of_the_standard_spacing(birds):
+    # Not of a quotient by tan(pi / 4), whose last bit depends on the C library.
+    head = formation.leader(birds)
+    for bird in range(1, birds + 1):
+        assert formation.start_position(bird, birds) == -abs(bird - head) * (1.0 + pi / 4.0)
 
 
 @given(birds=flocks)

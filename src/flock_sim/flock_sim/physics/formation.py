@@ -5,7 +5,7 @@ Birds are numbered 1..N from the tail of the left wing; lateral distances are in
 """
 
 from collections.abc import Iterator
-from math import pi, radians, tan
+from math import pi
 
 import numpy as np
 
@@ -17,8 +17,8 @@ VORTEX_FRACTION = pi / 4.0
 TIP_SPACING = pi / 4.0 - 1.0
 """s_opt, in b. It is negative: wing tips overlap."""
 
-START_HALF_ANGLE = radians(45.0)
-"""Half the opening angle of the V in which a flight starts."""
+START_SLOPE = 1.0
+"""tan(theta) of the V in which a flight starts, theta = 45 degrees: lateral over streamwise."""
 
 
 def leader(birds: int) -> int:
@@ -83,4 +83,4 @@ def start_position(bird: int, birds: int) -> float:
 
     The V is that of standard birds, dy_0 = 2 b + s_opt, whatever the span ratios.
     """
-    return -abs(bird - leader(birds)) * (2.0 + TIP_SPACING) / tan(START_HALF_ANGLE)
+    return -abs(bird - leader(birds)) * (2.0 + TIP_SPACING) / START_SLOPE

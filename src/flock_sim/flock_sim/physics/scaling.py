@@ -3,6 +3,9 @@
 
 The configuration has SI quantities. Inside Flock all quantities are dimensionless: length in b (the
 standard semi-span), time in b / U_min, mass in rho b^3.
+
+Powers are written as products: `**` is a function of the C library, and its last bit depends on the
+machine.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ def flapping_thrust(
     thrust_coefficient: float, air_density: float, area: float, frequency: float, amplitude: float
 ) -> float:
     """Return the mean thrust of a flapping cycle in N: C_T rho S (2 pi f A)^2. Eq. (thrust)."""
-    return thrust_coefficient * air_density * area * (2.0 * pi * frequency * amplitude) ** 2
+    speed = 2.0 * pi * frequency * amplitude
+    return thrust_coefficient * air_density * area * (speed * speed)
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,8 @@ class StandardBird:
     @property
     def wing_area(self) -> float:
         """S = (2b)^2 / AR, in m^2."""
-        return self.configuration.wing_span**2 / self.configuration.aspect_ratio
+        bird = self.configuration
+        return bird.wing_span * bird.wing_span / bird.aspect_ratio
 
     @property
     def profile_coefficient(self) -> float:
@@ -59,13 +64,13 @@ class StandardBird:
     def induced_coefficient(self) -> float:
         """k_ind = W^2 / (2 pi e_O rho b^2), in kg m^3/s^4. Eq. (kind)."""
         bird = self.configuration
-        return self.weight**2 / (
-            2.0 * pi * bird.oswald_efficiency * bird.air_density * self.semi_span**2
-        )
+        loading = self.weight / self.semi_span
+        return loading * loading / (2.0 * pi * bird.oswald_efficiency * bird.air_density)
 
     def drag(self, speed: float) -> float:
         """Return D = k_pro U^2 + k_ind U^-2 in N at `speed` in m/s. Eq. (D)."""
-        return self.profile_coefficient * speed**2 + self.induced_coefficient / speed**2
+        square = speed * speed
+        return self.profile_coefficient * square + self.induced_coefficient / square
 
     @property
     def minimum_drag_speed(self) -> float:
@@ -83,8 +88,8 @@ class StandardBird:
     @property
     def unit_force(self) -> float:
         """rho b^2 U_min^2, in N, with the given U_min. Eq. (Fmin)."""
-        bird = self.configuration
-        return bird.air_density * self.semi_span**2 * bird.min_drag_speed**2
+        rate = self.semi_span * self.configuration.min_drag_speed
+        return self.configuration.air_density * (rate * rate)
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,7 @@ class Scales:
         """Return the constants of the standard bird of a configuration."""
         semi_span = 0.5 * bird.wing_span
         return cls(
-            mass_ratio=bird.body_mass / (bird.air_density * semi_span**3),
+            mass_ratio=bird.body_mass / (bird.air_density * (semi_span * semi_span * semi_span)),
             cruise_speed=bird.cruise_speed / bird.min_drag_speed,
             drag_coefficient_k=2.0 * bird.zero_lift_drag / bird.aspect_ratio,
             circulation_min=4.0
@@ -115,7 +120,8 @@ class Scales:
     @property
     def cruise_ratio(self) -> float:
         """H_0 = (U_0^2 + U_0^-2) / 2: drag at cruise over least drag."""
-        return 0.5 * (self.cruise_speed**2 + self.cruise_speed**-2)
+        square = self.cruise_speed * self.cruise_speed
+        return 0.5 * (square + 1.0 / square)
 
     @property
     def cruise_drag(self) -> float:
@@ -128,7 +134,8 @@ class Scales:
 
         A steady formation depends on e_O, C_D and AR only through this ratio.
         """
-        return self.circulation_min**2 / (2.0 * pi * self.drag_coefficient_k)
+        square = self.circulation_min * self.circulation_min
+        return square / (2.0 * pi * self.drag_coefficient_k)
 
     def solo_cruise_speed(self, span_ratio: FloatArray | float) -> FloatArray:
         """Return U_0,j of a bird of `span_ratio` lambda flying alone, in U_min; nan without one.
