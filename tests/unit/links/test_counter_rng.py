@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
+import re
 
 import mpmath
 import numpy as np
 import pytest
 
 from flock_sim.links.counter_rng import FATE, NOISE, gaussians, philox, uniforms
+from flock_sim.physics.compile import anew
 
 DRAWS = 20000
 
@@ -60,16 +62,27 @@ def test_gaussians_have_the_moments_of_the_normal_distribution():
     assert abs((g[:, 0] * g[:, 1]).mean()) < SIGMAS / math.sqrt(DRAWS)
 
 
-def test_gaussians_are_those_of_box_and_muller_to_some_last_places():
-    # The sine has an error below 1.9 ulp, the root of the logarithm below 1, the product rounds
-    # once; an ulp of a factor can be two of the product.
+def test_gaussians_are_those_of_box_and_muller_to_four_units_of_the_last_place():
+    # In units of 2^-52: 2 for the logarithm, of which its root has half, 1.9 for the sine, and 1/2
+    # each for the rounding of root and product.
     with mpmath.workdps(40):
         for step in range(500):
             u, v = map(mpmath.mpf, uniforms(1, 3, 4, step, NOISE))
             radius, angle = mpmath.sqrt(-2 * mpmath.log(1 - u)), 2 * mpmath.pi * v
             exact = radius * mpmath.cos(angle), radius * mpmath.sin(angle)
             for value, wanted in zip(gaussians(1, 3, 4, step, NOISE), exact, strict=True):
-                assert abs(mpmath.mpf(value) - wanted) < 7 * math.ulp(float(wanted))
+                assert abs(mpmath.mpf(value) - wanted) < 4 * 2.0**-52 * abs(wanted)
+
+
+def test_gaussians_call_no_elementary_function_of_the_c_library():
+    fresh = anew(gaussians)
+    fresh(1, 3, 4, 0, NOISE)
+    (code,) = fresh.inspect_llvm().values()
+    called = set(re.findall(r"call [^@\n]*@([\w.]+)\(", code))
+    # LLVM makes an instruction of sqrt, whose last bit IEEE 754 defines.
+    assert "sqrt" in called
+    elementary = {"log", "log1p", "sin", "cos", "exp", "pow", "fma"}
+    assert not {part for name in called for part in name.split(".")} & elementary
 
 
 def test_numbers_for_another_seed_link_step_or_purpose_are_others():

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from flock_sim.physics import trigonometry
+from flock_sim.physics import logarithm, trigonometry
 from flock_sim.physics.compile import kernel
 
 Word: TypeAlias = np.uint64
@@ -31,8 +31,9 @@ _MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)  # golden ratio, square root of 3
 
 _HIGH_BITS, _LOW_BITS = np.uint64(5), np.uint64(6)  # 27 and 26 bits are left of 32: 53 in all
-_SHIFT, _UNIT = 2.0**26, 2.0**-53
+_SHIFT, _UNIT = float(1 << 26), 1.0 / (1 << 53)
 
+_log_of_quotient = kernel(logarithm.log_of_quotient)
 _sine_and_cosine = kernel(trigonometry.sine_and_cosine)
 
 
@@ -77,6 +78,6 @@ def uniforms(seed: int, source: int, target: int, step: int, kind: int) -> tuple
 def gaussians(seed: int, source: int, target: int, step: int, kind: int) -> tuple[float, float]:
     """Return two numbers of the standard normal distribution, by Box and Muller's method."""
     u, v = uniforms(seed, source, target, step, kind)
-    radius = math.sqrt(-2.0 * math.log(1.0 - u))
+    radius = math.sqrt(-2.0 * _log_of_quotient(1.0 - u, 1.0, -u))
     sine, cosine = _sine_and_cosine(v)
     return radius * cosine, radius * sine
