@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from flock_sim.analysis import metrics as core_metrics
-from flock_sim.analysis.metrics import Metrics, measure
+from flock_sim.analysis.metrics import Metrics, mean_over_birds, measure, speed_std
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock_state import FlockState
 
@@ -87,6 +87,20 @@ def test_a_flock_is_stable_below_the_papers_threshold(spread: float) -> None:
 def test_a_spread_far_below_the_rounding_of_squares_is_measured() -> None:
     metrics = measured(FlockConfiguration(birds=2), speed=[1.0, 1.0 + 2.0**-40])
     assert metrics.speed_std[0] == 2.0**-41
+
+
+@pytest.mark.parametrize("birds", [1, 8, 13, 200])
+def test_means_add_birds_in_order_whatever_the_number_of_members(birds: int) -> None:
+    # NumPy adds a single column in another order than several, to another last bit.
+    speed = np.random.default_rng(birds).uniform(0.9, 1.1, (birds, 64))
+    alone = [speed_std(speed[:, [m]])[0] for m in range(64)]
+    assert speed_std(speed).tolist() == alone
+    for m, mean in enumerate(mean_over_birds(speed)):
+        total = 0.0
+        for value in speed[:, m].tolist():
+            total += value
+        assert mean == total / birds
+        assert mean == mean_over_birds(speed[:, m])
 
 
 def test_drag_reduction_is_in_units_of_the_standard_bird_at_cruise() -> None:

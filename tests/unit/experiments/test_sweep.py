@@ -24,6 +24,7 @@ from flock_sim.links.registry import MODELS
 from flock_sim.recording.flight_writer import recording
 from flock_sim.reference.integrator import Reference
 from flock_tools.commands.sweep import tool
+from flock_tools.experiments.sweep.axes import axis
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES, dataset, netcdf
 from flock_tools.experiments.sweep.directory import SweepDirectory
 from flock_tools.experiments.sweep.members import MOST_RECORDS, record_every
@@ -109,6 +110,16 @@ def test_members_are_the_product_of_the_axes_the_last_one_fastest() -> None:
         "hold:interval=2,delay=5",
         "3->4=hold:interval=2,delay=5,drop=0.25",
     ) or members[1].links == ("hold:interval=2,delay=5", "3->4=hold:interval=2,drop=0.25,delay=5")
+
+
+def test_evenly_spaced_values_are_sums_of_a_start_and_whole_steps() -> None:
+    # They are flown, so they must have the same bits on every machine.
+    random = np.random.default_rng(18)
+    for count in (2, 3, 10, 57, 1000):
+        low, high = random.uniform(0.5, 1.5, 2).tolist()
+        found = axis("dt", {"from": low, "to": high, "count": count})
+        step = (high - low) / (count - 1)
+        assert found.values == (*(low + k * step for k in range(count - 1)), high)
 
 
 def settings_of(swept: Sweep, source: int, target: int) -> list[tuple[str, int, float]]:

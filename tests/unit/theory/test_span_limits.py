@@ -388,6 +388,19 @@ def test_only_the_searched_interval_and_the_present_ratio_are_tried():
     assert {bird for bird, _ in flocks.tried} == {0, 2}
 
 
+@pytest.mark.parametrize("sections", [2, 7])
+def test_tried_ratios_are_sums_of_a_start_and_whole_steps(sections):
+    # They are flown by `limits`, so they must have the same bits on every machine.
+    flocks = MadeUp({2: (0.813, 1.21)})
+    search(FlockConfiguration(birds=4), [2], 0.7, 1.3, 1e-3, flocks, 9, sections)
+    tried = {ratio for bird, ratio in flocks.tried if bird == 2}
+    grid = [0.7 + k * ((1.3 - 0.7) / 9) for k in range(9)] + [1.3]
+    assert set(grid) <= tried
+    for inside, outside in ((grid[2], grid[1]), (grid[7], grid[8])):
+        step = (outside - inside) / sections
+        assert {inside + k * step for k in range(1, sections)} <= tried
+
+
 def test_wings_beside_small_neighbours_are_not_brought_together():
     smallest = []
 

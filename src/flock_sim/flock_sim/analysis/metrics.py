@@ -60,15 +60,14 @@ def measure(configuration: FlockConfiguration, state: FlockState) -> Metrics:
     birds = configuration.birds
     leader = formation.leader(birds)
     with np.errstate(invalid="ignore", over="ignore"):
-        # The mean of squared deviations is <U^2> - <U>^2 without its cancellation.
-        mean = state.speed.mean(axis=0)
-        deviation = np.sqrt(((state.speed - mean) ** 2).mean(axis=0))
+        mean = mean_over_birds(state.speed)
+        deviation = speed_std(state.speed)
         spacing = state.spacing
         reduction = state.drag_reduction(Scales.of(configuration))
         left = spacing[: leader - 1]
         ordered = np.all(left[1:] < left[:-1], axis=0) & np.all(np.isfinite(left), axis=0)
         relative = state.from_leader
-        mean_reduction = reduction.mean(axis=0)
+        mean_reduction = mean_over_birds(reduction)
         profile = _profile_error(configuration, left)
     return Metrics(
         birds=birds,
@@ -89,6 +88,21 @@ def measure(configuration: FlockConfiguration, state: FlockState) -> Metrics:
         hierarchical=[bool(ok) for ok in ordered],
         profile_error=profile,
     )
+
+
+def mean_over_birds(values: FloatArray) -> FloatArray:
+    """Return the mean of `values`, shape (birds, ...), over the birds; they are added in order.
+
+    The order in which NumPy's own sums add depends on the shape and on how NumPy was built.
+    """
+    return np.asarray(np.add.accumulate(values, axis=0)[-1] / len(values))
+
+
+def speed_std(speed: FloatArray) -> FloatArray:
+    """Return sigma_U of `speed`, shape (birds, ...), in its unit."""
+    # The mean of squared deviations is <U^2> - <U>^2 without its cancellation.
+    deviation = speed - mean_over_birds(speed)
+    return np.asarray(np.sqrt(mean_over_birds(deviation * deviation)))
 
 
 def _profile_error(configuration: FlockConfiguration, left: FloatArray) -> list[float | None]:

@@ -9,7 +9,7 @@ from threading import Event, Lock
 
 import numpy as np
 
-from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.analysis.metrics import STABLE_BELOW, speed_std
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.reference.integrator import Reference
@@ -68,7 +68,7 @@ def gaps_at_end(speed: FloatArray) -> IntArray:
     """Return the verdicts of `opened_gaps` from the speeds at t_max, shape (birds, members)."""
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.abs(np.diff(speed, axis=0))
-        holds = speed.std(axis=0) < STABLE_BELOW
+        holds = speed_std(speed) < STABLE_BELOW
     most_apart = apart.max(axis=0, initial=0.0)
     first = np.argmax(apart >= most_apart - ALIKE, axis=0) + 1 if len(apart) else NO_GAP
     return np.where(holds, 0, np.where(np.isfinite(most_apart), first, NO_GAP))
