@@ -61,7 +61,7 @@ class Flown:
         assert accept(words, ANY, message.ctypes.data, len(data)) == TAKEN
         while words[TICK] < words[END] and not words[LACKING + words[SIDE]]:
             own = self.bird._motion
-            arrays = own._own, own._geometry, self.bird._inbox.heard, own._mine, own._work
+            arrays = own._own, own._interactions, self.bird._inbox.heard, own._mine, own._work
             feel_and_move(words[TICK], FLOCK.dt, *arrays)
             words[TICK] += 1
             turn(words, words[TICK] + 1)

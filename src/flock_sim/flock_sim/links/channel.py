@@ -74,8 +74,8 @@ def hear(
     step, stage = tick // STAGES, tick % STAGES
     rows = link[ROWS]
     if rows == 0:
-        known_position[:] = position
-        known_circulation[:] = circulation
+        for m in range(known_position.shape[0]):
+            known_position[m], known_circulation[m] = position[m], circulation[m]
         return
     if stage < rows:
         if step % link[INTERVAL] == 0:

@@ -25,6 +25,9 @@ from flock_sim.physics.stage_kernels import (
     move,
 )
 
+RECORDED = 4
+"""Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
+
 
 @kernel
 def fill_circulation(speed: FloatArray, coefficient: FloatArray, circulation: FloatArray) -> None:
@@ -132,7 +135,7 @@ def forces(
     (5, birds * members).
     """
     fill_circulation(speed.reshape(-1), coefficients[4], circulation.reshape(-1))
-    drag[:] = 0.0
+    drag.fill(0.0)
     if links.shape[0] > 0:
         add_forces_over_links(
             tick,
@@ -148,6 +151,20 @@ def forces(
         )
     else:
         add_forces(pairs, position, circulation, interactions, drag)
+
+
+@kernel
+def record(
+    position: FloatArray,
+    speed: FloatArray,
+    circulation: FloatArray,
+    drag: FloatArray,
+    recorded: FloatArray,
+) -> None:
+    """Fill `recorded`, shape (4, birds * members); the others have shape (birds * members,)."""
+    for i in range(position.shape[0]):
+        recorded[0, i], recorded[1, i] = position[i], speed[i]
+        recorded[2, i], recorded[3, i] = circulation[i], drag[i]
 
 
 @kernel
@@ -172,7 +189,10 @@ def advance(
     """
     position_now, speed_now = position.copy(), speed.copy()
     circulation, drag = np.empty_like(speed), np.empty_like(speed)
-    position_slopes, speed_slopes = np.empty(speed.size), np.empty(speed.size)
+    slopes = np.empty((2, speed.size))
+    start = position.reshape(-1), speed.reshape(-1)
+    now = position_now.reshape(-1), speed_now.reshape(-1)
+    present = circulation.reshape(-1), drag.reshape(-1)
 
     records = 0
     for step in range(first, until):
@@ -192,23 +212,11 @@ def advance(
                 drag,
             )
             if stage == 0 and step % every == 0:
-                row = recorded[records]
+                record(*start, *present, recorded[records].reshape(RECORDED, -1))
                 records += 1
-                row[0], row[1], row[2], row[3] = position, speed, circulation, drag
-            move(
-                stage,
-                dt,
-                coefficients,
-                drag.reshape(-1),
-                position.reshape(-1),
-                speed.reshape(-1),
-                position_slopes,
-                speed_slopes,
-                position_now.reshape(-1),
-                speed_now.reshape(-1),
-            )
-        position[:] = position_now
-        speed[:] = speed_now
+            move(stage, dt, coefficients, present[1], *start, slopes[0], slopes[1], *now)
+        for i in range(speed.size):
+            start[0][i], start[1][i] = now[0][i], now[1][i]
 
 
 @cache

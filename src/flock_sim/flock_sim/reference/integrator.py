@@ -17,10 +17,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.reference.flock_kernel import flying
-
-RECORDED = 4
-"""Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
+from flock_sim.reference.flock_kernel import RECORDED, flying
 
 
 class Reference:
