@@ -36,7 +36,7 @@ MOST_BIRDS = 20000
 LEAST_ROW = 2.0
 """Shortest time between recorded states, in ns: their stamps must differ."""
 
-LAST_SECOND = 2.0**31
+LAST_SECOND = float(1 << 31)
 """First time that the 32 bits of a ROS time stamp can't hold, in s."""
 
 
