@@ -258,3 +258,13 @@ def test_a_link_is_remembered_for_the_longest_delay_and_no_longer():
     assert Source("hold:interval=4,delay=3/7,jitter=4").memory.shape == (4 * 5, 2)
     assert Source("exact:delay=2").memory.shape == ((1 + 3) * 4 * 5, 1)
     assert Source("exact").memory.shape == (0, 1)
+
+
+@pytest.mark.parametrize("link", ["linear", "linear:speed_noise=0.1,position_noise=0.1"])
+def test_a_neighbour_that_diverged_leaves_the_same_nan_on_every_machine(link):
+    # The sign of the NaN of inf - inf depends on the processor, and the memory is recorded.
+    source = Source(link)
+    for step, circulation in enumerate((np.inf, np.inf, math.copysign(math.nan, -1.0))):
+        source.known(step, circulation=circulation)
+        assert not np.signbit(source.memory).any()
+    assert np.isnan(source.memory).any()

@@ -43,6 +43,7 @@ from flock_sim.links.settings import (
 )
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.dynamics import canonical
 from flock_sim.physics.runge_kutta import NODES, STAGES
 
 Hear = Callable[..., None]
@@ -162,13 +163,13 @@ def _take(
             x = np.rint(x / faults[POSITION_QUANTUM, m]) * faults[POSITION_QUANTUM, m]
         if faults[SPEED_QUANTUM, m] > 0.0:
             u = np.rint(u / faults[SPEED_QUANTUM, m]) * faults[SPEED_QUANTUM, m]
-        memory[at + POSITION, m] = x
-        memory[at + SPEED, m] = u
+        memory[at + POSITION, m] = canonical(x)
+        memory[at + SPEED, m] = canonical(u)
         if _speed_is_altered(faults, m):
             # Gamma is proportional to 1 / U: the received Gamma must fit the received U.
-            memory[at + CIRCULATION, m] = circulation[m] * speed[m] / u
+            memory[at + CIRCULATION, m] = canonical(circulation[m] * speed[m] / u)
         else:
-            memory[at + CIRCULATION, m] = circulation[m]
+            memory[at + CIRCULATION, m] = canonical(circulation[m])
 
 
 @kernel
@@ -191,7 +192,7 @@ def _arrive(
             rate = change / ((sent - memory[latest + SENT, m]) * dt)
         for field in range(FIELDS):
             memory[latest + field, m] = memory[newest + field, m]
-        memory[latest + RATE, m] = rate
+        memory[latest + RATE, m] = canonical(rate)
 
 
 @kernel
