@@ -247,3 +247,21 @@ def test_a_bag_on_a_real_full_disk_is_gone_on_with_once_there_is_room(small_disk
         bag.close()
         assert_complete_with(directory, kept)
         (small_disk / "other").unlink(missing_ok=True)
+
+
+def test_metadata_that_finds_no_room_is_left_out_and_that_at_the_end_is_not(
+    tmp_path: Path, disk: Disk
+) -> None:
+    bag = BagWriter(tmp_path / "bag", TOPICS, {})
+    bag.write("/clock", 0, b"safe")
+    bag.flush()
+    disk.room = 10
+    with pytest.raises(RunFailed, match="No space left"):
+        bag.add_metadata("note", {"by": "us"})
+    disk.room = None
+    with pytest.raises(RunFailed, match="No space left"):
+        bag.add_metadata("another", {})
+    bag.close({"last": {"digest": "x"}})
+    assert_complete_with(tmp_path / "bag", [b"safe"])
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.records == {"last": {"digest": "x"}}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Message
+from mcap.records import Message, Metadata
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
@@ -147,6 +147,67 @@ def test_a_closed_bag_is_gone_on_with_and_again(tmp_path: Path) -> None:
             assert not (directory / "metadata.yaml").exists()
             write(bag, messages(50, first=50 * part))
         assert_complete_with(directory, messages(50 * part + 50))
+
+
+def noted(path: Path) -> dict[str, dict[str, str]]:
+    """Return the metadata records of a complete bag, read by mcap's index and from its front."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = {record.name: record.metadata for record in reader.iter_metadata()}
+        records = StreamReader(path.open("rb"), validate_crcs=True).records
+        assert found == {r.name: r.metadata for r in records if isinstance(r, Metadata)}
+    return found
+
+
+def test_metadata_between_chunks_is_kept_and_that_at_the_end_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "fsync", lambda fd: None)
+    with writer(tmp_path / "whole") as bag:
+        bag.add_metadata("first", {"machine": "a"})
+        write(bag, messages(40))
+        bag.add_metadata("second", {"machine": "b"})
+        write(bag, messages(20, first=40))
+        bag.add_metadata("third", {})
+        bag.close({"last": {"digest": "x"}})
+    path = tmp_path / "whole" / "bag_0.mcap"
+    (tmp_path / "whole" / "whole_0.mcap").rename(path)
+    always = {**METADATA, "first": {"machine": "a"}, "second": {"machine": "b"}}
+    assert noted(path) == {**always, "third": {}, "last": {"digest": "x"}}
+    first, extents = head_and_extents(path)
+    ends = [end for _, end in extents]
+    size = path.stat().st_size
+    cuts = {*range(first - 60, first + 3), *range(ends[1] - 1, ends[1] + 60)}  # in the records
+    cuts |= {ends[0], *range(ends[2] - 1, size, 13), size}
+    for cut in sorted(cuts):
+        directory = cut_copy(tmp_path / "whole", tmp_path / "cut", cut)
+        kept = sum(end <= cut for end in ends)
+        with writer(directory, resume=True) as bag:
+            assert list(bag.metadata) == [[], ["first"], ["first"], ["first", "second"]][kept]
+            for name, values in (("first", {"machine": "a"}), ("second", {"machine": "b"})):
+                if name not in bag.metadata:
+                    bag.add_metadata(name, values)
+            write(bag, messages(60 - 20 * kept, first=20 * kept))
+        assert_complete_with(directory, messages(60))
+        assert noted(directory / "bag_0.mcap") == always
+        shutil.rmtree(directory)
+
+
+def test_damage_behind_metadata_is_still_found(tmp_path: Path) -> None:
+    directory = tmp_path / "bag"
+    with writer(directory) as bag:
+        write(bag, messages(20))
+        bag.add_metadata("note", {"by": "us"})
+        write(bag, messages(40, first=20))
+    path = directory / "bag_0.mcap"
+    data = bytearray(path.read_bytes())
+    _, extents = head_and_extents(path)
+    data[extents[1][0] - 5] ^= 1  # within a chunk
+    path.write_bytes(data)
+    with writer(directory, resume=True) as bag:
+        assert (bag.messages_safe, list(bag.metadata)) == (20, [])
+        assert bag.aside is not None
+        assert bag.aside.read_bytes() == data
 
 
 def test_a_bag_in_several_parts_equals_one_written_in_one_go(tmp_path: Path, whole: Path) -> None:

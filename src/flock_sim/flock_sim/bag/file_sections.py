@@ -28,7 +28,7 @@ from flock_sim.errors import FlockError
 
 MAGIC = b"\x89MCAP0\r\n"
 _MAX_TOPICS = 65535  # MCAP numbers channels with 16 bits, from 1
-# Without a version: the same flight gives the same file, whatever versions are installed.
+# Without a version: only metadata records depend on the versions that are installed.
 _LIBRARY = "flock"
 
 
@@ -53,6 +53,8 @@ class Written:
     end_time: int = 0  # ns, of the latest message
     chunks: int = 0
     chunk_index: bytearray = field(default_factory=bytearray)  # packed ChunkIndex records
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # records after the head
+    metadata_index: list[MetadataIndex] = field(default_factory=list)  # of these records
 
     @property
     def messages(self) -> int:
@@ -69,6 +71,11 @@ class Written:
         self.chunk_index += chunk.index
         for channel, count in chunk.counts:
             self.counts[channel] = self.counts.get(channel, 0) + count
+
+    def add_metadata(self, record: Metadata, offset: int, length: int) -> None:
+        """Register a metadata record of `length` bytes at byte `offset`."""
+        self.metadata[record.name] = record.metadata
+        self.metadata_index.append(MetadataIndex(offset, length, record.name))
 
 
 class Layout:
@@ -116,18 +123,19 @@ class Layout:
             for number, topic in enumerate(topics, start=1)
         ]
         self._metadata_index: list[MetadataIndex] = []
-        head = bytearray(MAGIC + pack(Header(profile="ros2", library=_LIBRARY)))
-        for name, values in metadata.items():
-            record = pack(Metadata(name=name, metadata=dict(values)))
-            self._metadata_index.append(MetadataIndex(len(head), len(record), name))
-            head += record
-        self.head = bytes(head + pack(*self._schemas, *self._channels))
+        head = MAGIC + pack(Header(profile="ros2", library=_LIBRARY))
+        head += _metadata_records(metadata, len(head), self._metadata_index)
+        self.head = head + pack(*self._schemas, *self._channels)
 
-    def tail(self, written: Written, size: int, crc: int) -> bytes:
-        """Make the part after the last chunk: end of data, summary, footer and magic.
+    def tail(
+        self, written: Written, size: int, crc: int, metadata: Mapping[str, Mapping[str, str]]
+    ) -> bytes:
+        """Make the part after the last chunk: `metadata`, end of data, summary, footer and magic.
 
         `size` is the size of the file so far, in bytes, and `crc` its CRC-32.
         """
+        metadata_index = [*self._metadata_index, *written.metadata_index]
+        last = _metadata_records(metadata, size, metadata_index)
         statistics = Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
@@ -136,10 +144,10 @@ class Layout:
             message_count=written.messages,
             message_end_time=written.end_time,
             message_start_time=written.start_time,
-            metadata_count=len(self._metadata_index),
+            metadata_count=len(metadata_index),
             schema_count=len(self._schemas),
         )
-        end_of_data = pack(DataEnd(crc))
+        end_of_data = last + pack(DataEnd(zlib.crc32(last, crc)))
         summary_start = size + len(end_of_data)
         summary = bytearray()
         offsets: list[SummaryOffset] = []
@@ -148,7 +156,7 @@ class Layout:
             (Opcode.CHANNEL, pack(*self._channels)),
             (Opcode.STATISTICS, pack(statistics)),
             (Opcode.CHUNK_INDEX, written.chunk_index),
-            (Opcode.METADATA_INDEX, pack(*self._metadata_index)),
+            (Opcode.METADATA_INDEX, pack(*metadata_index)),
         ):
             if group:
                 offsets.append(SummaryOffset(opcode, summary_start + len(summary), len(group)))
@@ -159,3 +167,15 @@ class Layout:
         unsigned = pack(Footer(summary_start, offsets_start, 0))[:-4]
         crc = zlib.crc32(unsigned, zlib.crc32(summary))
         return end_of_data + summary + pack(Footer(summary_start, offsets_start, crc)) + MAGIC
+
+
+def _metadata_records(
+    metadata: Mapping[str, Mapping[str, str]], offset: int, index: list[MetadataIndex]
+) -> bytes:
+    """Pack metadata records for byte `offset` of a file, and add them to `index`."""
+    packed = bytearray()
+    for name, values in metadata.items():
+        record = pack(Metadata(name=name, metadata=dict(values)))
+        index.append(MetadataIndex(offset + len(packed), len(record), name))
+        packed += record
+    return bytes(packed)

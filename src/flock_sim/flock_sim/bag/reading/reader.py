@@ -63,10 +63,18 @@ class BagReader:
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the MCAP metadata record called `name`; raises FlockError if there is none."""
-        for file in self._files:
-            if name in file.metadata:
-                return dict(file.metadata[name])
+        if name in self.records:
+            return self.records[name]
         raise FlockError(f"{self.path} has no metadata record {name!r}: it is not a run of Flock")
+
+    @property
+    def records(self) -> dict[str, dict[str, str]]:
+        """The MCAP metadata records by name; of equal names, that of the first file."""
+        return {
+            name: dict(record)
+            for file in reversed(self._files)
+            for name, record in file.metadata.items()
+        }
 
     def messages(
         self,

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from mcap.records import Metadata
+
 from flock_sim.bag.chunk import SealedChunk
 from flock_sim.bag.directory import (
     METADATA_FILE,
@@ -15,7 +17,7 @@ from flock_sim.bag.directory import (
     bag_files,
     is_recording,
 )
-from flock_sim.bag.file_sections import Layout, Written
+from flock_sim.bag.file_sections import Layout, Written, pack
 from flock_sim.bag.metadata import metadata_yaml
 from flock_sim.bag.writing.partial_bag import PartialBag, recorded_in
 from flock_sim.bag.writing.put_aside import put_aside
@@ -48,14 +50,12 @@ class BagOnDisk:
         self.aside: Path | None = None
         self.replaces = False
         self.written = Written()
-        self._layout = layout
-        self._custom_data = custom_data
+        self._layout, self._custom_data = layout, custom_data
         self._lost = False
-        self._place = directory / f"{directory.resolve().name}_0.mcap"
-        self.path = self._place
+        self.path = self._place = directory / f"{directory.resolve().name}_0.mcap"
         self._reserve = Reserve(directory / RESERVE_FILE)
         self._reserved = len(layout.head) + len(self._metadata_text()) + _SLACK
-        existing = recorded_in(self.directory) if resume else None
+        existing = recorded_in(directory) if resume else None
         if existing is None:
             self._begin(replace)
         else:
@@ -70,11 +70,20 @@ class BagOnDisk:
 
     def append(self, chunk: SealedChunk) -> None:
         """Append a chunk, completely or not at all; raises RunFailed."""
-        index_size = len(self.written.chunk_index) + len(chunk.summary.index)
+        self._append(chunk.record, chunk.summary.index)
+        self.written.add(chunk.summary)
+
+    def append_metadata(self, record: Metadata) -> None:
+        """Append a metadata record as `append` does a chunk."""
+        offset = self.size
+        self._append(pack(record))
+        self.written.add_metadata(record, offset, self.size - offset)
+
+    def _append(self, block: bytes, index: bytes = b"") -> None:
         try:
             self._file.check()
-            self._reserve.hold(self._reserved + index_size)
-            self._file.append(chunk.record)
+            self._reserve.hold(self._reserved + len(self.written.chunk_index) + len(index))
+            self._file.append(block)
         except LostError as error:
             raise self._lose(error) from error
         except OSError as error:
@@ -82,7 +91,6 @@ class BagOnDisk:
                 f"recording to {self.path} failed ({error.strerror}): the {self.written.messages}"
                 " messages recorded before are safe; free disk space and fly again"
             ) from error
-        self.written.add(chunk.summary)
 
     def check(self) -> None:
         """Raise RunFailed if the file was removed or changed, once."""
@@ -141,8 +149,8 @@ class BagOnDisk:
         self._reserve.free()
         self._file.close()
 
-    def complete(self) -> None:
-        """Write the summary, and then metadata.yaml; raises RunFailed.
+    def complete(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        """Write `metadata` and the summary, and then metadata.yaml; raises RunFailed.
 
         A file that is lost is only closed. A bag without chunks does not replace another one.
         """
@@ -155,7 +163,7 @@ class BagOnDisk:
             self.take_place()
             self._file.check(thorough=True)
             self._reserve.free()
-            self._file.append(self._layout.tail(self.written, self._file.size, self._file.crc))
+            self._file.append(self._layout.tail(self.written, self.size, self._file.crc, metadata))
             self._file.sync()
             # Atomically, and after everything else is on the disk: its presence says so.
             with part.open("w", encoding="utf-8") as file:

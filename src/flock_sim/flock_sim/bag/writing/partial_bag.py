@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
+from mcap.records import Metadata
 
 from flock_sim.bag.chunk import CHUNK_HEAD, fits, summarise
 from flock_sim.bag.directory import NEW_FILE, is_recording
@@ -20,6 +21,7 @@ from flock_sim.bag.records import (
     ChunkPlace,
     DamagedError,
     crc_of,
+    parse,
     read_chunk,
     records_in,
 )
@@ -27,7 +29,7 @@ from flock_sim.bag.salvage import goes_on
 from flock_sim.errors import FlockError
 
 _AHEAD = 1 << 17  # bytes read at once from record to record: the message indexes of most chunks
-_IN_HEAD = [bytes([opcode]) for opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)]
+_IN_HEAD = [bytes([opcode]) for opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]
 _TIME_AT = 6  # in a message's fields: behind its channel (2 bytes) and its sequence (4)
 
 
@@ -47,6 +49,14 @@ class Message(NamedTuple):
     data: bytes
 
 
+class Note(NamedTuple):
+    """A metadata record behind the head."""
+
+    offset: int  # bytes, of its frame
+    end: int  # bytes
+    record: Metadata
+
+
 @dataclass(frozen=True)
 class Kept:
     """The beginning of a file that is kept."""
@@ -59,6 +69,7 @@ class Kept:
 class PartialBag:
     """The sound chunks of a file, in order, that follow its head without a gap.
 
+    Metadata records may lie before and between them, and are kept with the chunk that follows.
     `has_head` is False if the file ends within its head: nothing can be kept then. `damage` is the
     end of these chunks, in bytes, if the file is damaged there and more data follows; None if the
     file is whole, or only ends too early. Memory: one chunk, and some 200 bytes for each chunk.
@@ -81,13 +92,15 @@ class PartialBag:
                 " was recorded with, or name another directory"
             )
         self.has_head = found == head
-        found_chunks = _walk(path, len(head)) if self.has_head else []
+        found_chunks, self._notes = _walk(path, len(head)) if self.has_head else ([], [])
         self.chunks = list(takewhile(self._is_sound, found_chunks))
         self.damage = self._damage() if self.has_head else None
 
     def _damage(self) -> int | None:
         """Return the byte of the damage if data follows it; None if the file ends there."""
         after = self.chunks[-1].end if self.chunks else self._head
+        for note in self._notes:
+            after = note.end if note.offset == after else after
         at_end = os.pread(self.fd, 1, after) in (b"", bytes([Opcode.DATA_END]))
         if at_end:
             return None
@@ -121,6 +134,9 @@ class PartialBag:
             except ValueError as error:
                 raise self._damaged(extent, error) from error
         size = self.chunks[chunks - 1].end if chunks else self._head
+        for offset, end, record in self._notes:
+            if offset < size:
+                written.add_metadata(record, offset, end - offset)
         return Kept(written, size, crc_of(self.fd, size))
 
     def _body(self, extent: Extent) -> bytes:
@@ -176,9 +192,13 @@ def recorded_in(directory: Path) -> Path | None:
     return files[0] if files else None
 
 
-def _walk(path: Path, offset: int) -> list[Extent]:
-    """Find the consecutive chunks from `offset` on that are whole according to their lengths."""
+def _walk(path: Path, offset: int) -> tuple[list[Extent], list[Note]]:
+    """Find the consecutive records from `offset` on that are whole according to their lengths.
+
+    Returns the chunks, with the message indexes that follow them, and the metadata records.
+    """
     chunks: list[Extent] = []
+    notes: list[Note] = []
     with path.open("rb", buffering=_AHEAD) as file:
         size = os.fstat(file.fileno()).st_size
         file.seek(offset)
@@ -189,10 +209,15 @@ def _walk(path: Path, offset: int) -> list[Extent]:
                 break
             if opcode == Opcode.CHUNK:
                 chunks.append(Extent(offset, after - offset, after))
-            elif opcode == Opcode.MESSAGE_INDEX and chunks:
+            elif opcode == Opcode.MESSAGE_INDEX and chunks and chunks[-1].end == offset:
                 chunks[-1] = chunks[-1]._replace(end=after)
+            elif opcode == Opcode.METADATA:
+                try:
+                    notes.append(Note(offset, after, parse(Metadata.read, file.read(length))))
+                except DamagedError:
+                    break
             else:
                 break
             offset = after
             file.seek(offset)
-    return chunks
+    return chunks, notes

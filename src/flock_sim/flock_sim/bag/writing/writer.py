@@ -4,8 +4,8 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 
+from mcap.records import Metadata
 from zstandard import ZstdCompressor
 
 from flock_sim.bag.chunk import OpenChunk
@@ -24,9 +24,8 @@ class BagWriter:
             bag.write("/flock/bird_01/state", log_time, cdr)
             bag.flush()  # safe against kill -9 from here on
 
-    With `resume`, it continues a bag after a kill, a full disk, a power cut, or `close`. `begun`
-    then gives access to the whole chunks of this bag, and is None otherwise. Data after the whole
-    chunks is cut off.
+    With `resume`, it continues a bag after a kill, a full disk, a power cut, or `close`, behind its
+    last whole chunk. `begun` then gives access to the whole chunks, and is None otherwise.
 
     It is not thread-safe. Memory: one chunk, and 77 + 10 * (channels in it) bytes a chunk written.
 
@@ -92,14 +91,11 @@ class BagWriter:
 
         Times are in ns, not negative; the publish time is the log time unless it is given. The
         message is safe after the next `flush`. A full chunk is flushed automatically.
-
         Raises KeyError for an unknown topic, RunFailed as `flush` does.
         """
-        chunk = self._chunk
-        chunk.drop_incomplete()
-        chunk.add(
-            topic, log_time, data, log_time if publish_time is None else publish_time, sequence
-        )
+        self._chunk.drop_incomplete()
+        published = log_time if publish_time is None else publish_time
+        self._chunk.add(topic, log_time, data, published, sequence)
         self._take()
 
     def write_together(self, messages: Iterable[tuple[int | str, int, bytes]]) -> None:
@@ -119,7 +115,6 @@ class BagWriter:
 
         Messages written before are then safe if this process is killed (in a power cut, after the
         system has written them to the disk). Does nothing without new messages.
-
         Raises RunFailed if the chunk can't be stored: it is then left out completely.
         """
         if self._failure is not None:
@@ -133,6 +128,13 @@ class BagWriter:
         with self._keeping_failure():
             self._disk.append(sealed)
 
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a named record to the file, behind its last chunk; raises RunFailed as `flush`."""
+        with self._keeping_failure():
+            if self._failure is not None:
+                raise self._failure
+            self._disk.append_metadata(Metadata(name=name, metadata=dict(values)))
+
     def check(self) -> None:
         """Raise RunFailed if the file was removed or changed, without reading unchanged content."""
         if not self._closed:
@@ -142,9 +144,8 @@ class BagWriter:
     def cut_back(self, chunks: int, *, keep_aside: bool = False) -> None:
         """Keep only the first `chunks` chunks of a resumed bag. Call it before any other write.
 
-        `keep_aside`: the complete file stays under another name.
-
-        Raises FlockError if the bag is damaged or can't be read or written.
+        `keep_aside`: the complete file stays under another name. Raises FlockError if the bag is
+        damaged or can't be read or written.
         """
         self._disk.cut_back(chunks, keep_aside=keep_aside)
 
@@ -166,13 +167,14 @@ class BagWriter:
         """Flush, and close the file without completing the bag, which can be resumed later."""
         self._end(self._disk.let_go)
 
-    def close(self) -> None:
+    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Flush, write the summary, and then metadata.yaml; a second call does nothing.
 
+        `metadata` are named records at the end of the file, which are dropped when it is resumed.
         Raises RunFailed if the last messages or the summary can't be stored. An error that an
         earlier `flush` raised is not raised again.
         """
-        self._end(self._disk.complete)
+        self._end(lambda: self._disk.complete(metadata or {}))
 
     def _end(self, how: Callable[[], None]) -> None:
         """Flush and call `how` to end the bag, once; nothing can be written from then on."""
@@ -190,12 +192,7 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property
@@ -207,6 +204,11 @@ class BagWriter:
     def begun(self) -> PartialBag | None:
         """The whole chunks of a resumed bag; None for a new one."""
         return self._disk.begun
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """The records that `add_metadata` has written, by name, those of a resumed bag included."""
+        return self._disk.written.metadata
 
     @property
     def aside(self) -> Path | None:
