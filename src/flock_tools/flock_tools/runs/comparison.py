@@ -16,12 +16,12 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
+from flock_sim.messages.state_layout import members_of, same_head, step_of, steps_of, values_of
 from flock_sim.messages.types import ARRAYS, BILLION, State
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
 from flock_tools.runs.pairing import pairs
-from flock_tools.runs.state_block import members_of, same_head, step_of, steps_of, values_of
 
 BLOCK = 2048
 """Number of pairs of states that are compared at once."""

@@ -13,11 +13,11 @@ import xarray as xr
 from flock_sim.configuration.flock_configuration import LISTS
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
+from flock_sim.messages.state_layout import members_of, steps_of, values_of
 from flock_sim.messages.types import ARRAYS
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
-from flock_tools.runs.state_block import members_of, steps_of, values_of
 
 BLOCK = 4096
 """Number of states that are decoded at once."""

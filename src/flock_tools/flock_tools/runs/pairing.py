@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.errors import FlockError
-from flock_tools.runs.state_block import same_head, step_of
+from flock_sim.messages.state_layout import same_head, step_of
 
 MOST_WAITING = 64 * 2**20
 """Size of waiting messages above which topics are read one by one, in bytes."""
