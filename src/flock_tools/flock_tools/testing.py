@@ -39,6 +39,7 @@ from flock_sim.ros.discovery import (
     prepare_discovery,
     quiet_domains,
 )
+from flock_sim.ros.machine import machine_with_ros
 from flock_sim.ros.process import executing, ros_context
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
@@ -83,7 +84,11 @@ def fly(
     with tempfile.TemporaryDirectory(prefix="flock-") as temporary:
         bag = Path(temporary) / "flight" if output is None else Path(output)
         with own_output(bag, force=False):
-            with ros_alone() as context, recording(bag, flown, grants=True) as run:
+            machines = [machine_with_ros()]
+            with (
+                ros_alone() as context,
+                recording(bag, flown, grants=True, machines=machines) as run,
+            ):
                 _fly(flown, bird, timeout, run, context)
             return load(bag)
 

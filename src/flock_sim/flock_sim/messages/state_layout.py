@@ -13,7 +13,6 @@ import numpy.typing as npt
 from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.types import (
     ARRAYS,
-    STATE_ENVELOPE,
     STATE_FRAME,
     STATE_FRAME_AT,
     STATE_HEAD,
@@ -64,13 +63,27 @@ def steps_of(states: Sequence[bytes]) -> npt.NDArray[np.int64]:
 
 def values_of(states: Sequence[bytes], members: int) -> FloatArray:
     """Return the arrays of states whose `members_of` is `members`, shape (states, 4, members)."""
-    array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (members,))])
-    state = np.dtype(
-        [
-            ("head", f"V{STATE_HEAD}"),
-            ("arrays", array, (len(ARRAYS),)),
-            ("tail", f"V{STATE_ENVELOPE.size}"),
-        ]
-    )
-    values: FloatArray = np.frombuffer(b"".join(states), dtype=state)["arrays"]["values"]
+    values: FloatArray = fields_of(b"".join(states), members)[2]
     return values
+
+
+def fields_of(states: bytes, members: int) -> tuple[npt.NDArray[np.uint64], FloatArray, FloatArray]:
+    """Return the fields of joined states whose `members_of` is `members`.
+
+    These are step and time, of shape (states,), and the arrays, of shape (states, 4, members).
+    """
+    fields = np.frombuffer(states, dtype=_fields(members))
+    return fields["step"], fields["time"], fields["arrays"]["values"]
+
+
+@lru_cache(maxsize=64)
+def _fields(members: int) -> np.dtype[np.void]:
+    array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (members,))])
+    return np.dtype(
+        {
+            "names": ["step", "time", "arrays"],
+            "formats": ["<u8", "<f8", (array, (len(ARRAYS),))],
+            "offsets": [STATE_STEP_AT, STATE_STEP_AT + 8, STATE_HEAD],
+            "itemsize": State.lengths(members).size,
+        }
+    )

@@ -17,6 +17,7 @@ from flock_sim.nodes.recorder import RecorderNode, record
 from flock_sim.protocol.free_flight import GONE, check_free
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.output_directory import own_bag, own_output
+from flock_sim.ros.machine import machine_with_ros
 from flock_sim.ros.parameters import declare
 from flock_sim.ros.process import Process, executing, run_node
 
@@ -47,6 +48,7 @@ def work(process: Process) -> None:
                 resume=resume,
                 replace=replace,
                 factor=factor,
+                machines=[machine_with_ros()],
             )
         )
         executor = owned.enter_context(executing(operation["executor"], process.context))

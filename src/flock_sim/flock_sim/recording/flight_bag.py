@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,17 @@ from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake
+from flock_sim.recording.machine import Machine
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
+
+RESULT_RECORD = "result"
+"""The MCAP metadata record at the end of a bag that was closed."""
+
+_DIGEST = "state_digest"  # the key of the digest of all states, in the record of the result
+
+_MACHINE_RECORD = "machine_{}"  # the record of the first, second, ... machine that recorded
 
 _FREE_RECORD, _FACTOR = "free", "real_time_factor"  # the additional record of a free flight
 
@@ -32,6 +41,33 @@ def records(configuration: FlockConfiguration, factor: float) -> dict[str, dict[
         del values["links"]
     found = {CONFIGURATION_RECORD: {key: json.dumps(value) for key, value in values.items()}}
     return found | ({_FREE_RECORD: {_FACTOR: json.dumps(factor)}} if factor else {})
+
+
+def result_record(state_digest: str | None) -> dict[str, dict[str, str]]:
+    """Return the last metadata records of a bag; no digest: its states are no whole rows."""
+    return {RESULT_RECORD: {_DIGEST: state_digest}} if state_digest else {}
+
+
+def recorded_digest(bag: BagReader) -> str | None:
+    """Return the digest of all states that is in a bag; None for a bag without one."""
+    return bag.records.get(RESULT_RECORD, {}).get(_DIGEST)
+
+
+def machine_records(
+    machines: Iterable[Machine], known: Mapping[str, Mapping[str, str]]
+) -> dict[str, dict[str, str]]:
+    """Return the metadata records that a bag needs for `machines`; it has the `known` ones."""
+    new = [record for machine in machines if (record := machine.record()) not in known.values()]
+    first = len(recorded_machines(known)) + 1
+    return {_MACHINE_RECORD.format(number): record for number, record in enumerate(new, first)}
+
+
+def recorded_machines(records: Mapping[str, Mapping[str, str]]) -> list[Machine]:
+    """Return the machines in the metadata records of a bag, in the order of recording."""
+    found: list[Machine] = []
+    while (record := records.get(_MACHINE_RECORD.format(len(found) + 1))) is not None:
+        found.append(Machine.of(record))
+    return found
 
 
 def recorded_configuration(bag: BagReader) -> FlockConfiguration:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -22,11 +22,15 @@ from flock_sim.recording.flight_bag import (
     check_grants,
     checked_push,
     kinds,
+    machine_records,
     recorded_push,
     records,
+    result_record,
 )
+from flock_sim.recording.machine import Machine, this_machine
 from flock_sim.recording.recorded_rows import RecordedRows
 from flock_sim.recording.row_assembler import Row
+from flock_sim.recording.row_digest import RowDigest, digest_of
 
 
 class _Waiting(NamedTuple):
@@ -56,12 +60,15 @@ class Recording:
         resume: bool = False,
         replace: bool = False,
         factor: float = 0.0,
+        machines: Sequence[Machine] = (),
     ) -> None:
         """Begin a bag with the topics of a flight, see `kinds`.
 
         `resume`: continue an existing bag, after the last row before any damaged or missing row.
         `replace`: an existing bag stays until the first row is on disk. `factor` is the real-time
-        factor of a free flight. Raises the same errors as `BagWriter`.
+        factor of a free flight. `machines` are put in the bag before the first row.
+
+        Raises the same errors as `BagWriter`.
         """
         topic_kinds = kinds(configuration, grants, stages, live, factor > 0.0)
         self._configuration = configuration
@@ -71,6 +78,8 @@ class Recording:
         self._checkpoint: list[bytes] = []
         self._memories: list[bytes] = []
         self._waiting: _Waiting | None = None
+        self._machines = machines
+        self._digest = RowDigest(configuration)
         self.live: dict[int, messages.Push] = {}
         """The recorded pushes that were requested in flight, by number, in order."""
         self.last_grant: messages.Grant | None = None
@@ -125,10 +134,17 @@ class Recording:
         """Write all messages of one recorded step, at its simulated time."""
         self._look()
         self._stamp = stamp = self._configuration.stamp(row.step)
+        self._keep_machines()
         chunk = self.bag.chunks_safe
         self.bag.write_together((place, stamp, data) for place, data in self._placed(row))
         end = None if row.memories else chunk
         self._waiting = _Waiting(end, row.step, row.states, row.memories)
+        self._digest.add(row.states)
+
+    def write(self, topic: str, log_time: int, data: bytes) -> None:
+        """Write any message of a flight. Raises KeyError for a topic that is not in the bag."""
+        self._keep_machines()
+        self.bag.write(topic, log_time, data)
 
     def write_grant(self, data: bytes) -> None:
         """Write a grant, at the simulated time of the row before it."""
@@ -149,19 +165,42 @@ class Recording:
         """Flush and complete the bag. Discard it if it is to replace a bag and has no row yet."""
         try:
             self._remember()
-            if self.bag.replaces:
+            if self.bag.writable:
                 self.bag.flush()
                 self._look()
         finally:
             if self.bag.replaces:
                 self.bag.discard()
-            else:
-                self.bag.close()
+            elif not self.closed:
+                self.bag.close(result_record(self._state_digest()))
 
     @property
     def closed(self) -> bool:
         """Whether the bag is closed, so that nothing can be written to it."""
         return self.bag.closed
+
+    def read_digest(self) -> None:
+        """Compute the digest of the rows on disk; it has no row if they can't be read."""
+        self._digest = RowDigest(self._configuration)
+        with suppress(FlockError), BagReader(self.bag.path) as bag:
+            self._digest = digest_of(bag, self._configuration)
+
+    def _state_digest(self) -> str | None:
+        """Return the digest of the rows on disk; None without rows.
+
+        They are read if they are not the rows that were added: after a full disk, after an
+        exception such as Ctrl-C, or if single messages were written.
+        """
+        if self._digest.rows != self.bag.count(self._states[-1]):
+            self.read_digest()
+        return self._digest.text
+
+    def _keep_machines(self) -> None:
+        """Write the machines that are not in the bag, once."""
+        if self._machines:
+            for name, record in machine_records(self._machines, self.bag.metadata).items():
+                self.bag.add_metadata(name, record)
+            self._machines = ()
 
     def _remember(self) -> None:
         """Write the memories of the last row, once."""
@@ -251,13 +290,14 @@ def recording(
     replace: bool = False,
     live: bool = False,
     factor: float = 0.0,
+    machines: Sequence[Machine] | None = None,
 ) -> Iterator[Recording]:
     """Yield a recording whose bag is closed, and so complete, however the block ends.
 
     `resume`: continue an existing bag, or begin a new one if there is none. `replace`: the new bag
     replaces an existing one once its first row is on disk. `live`: with a topic for perturbations
     requested in flight, which a recording with grants always has. `factor`: the real-time factor of
-    a free flight.
+    a free flight. `machines`: those that recorded the flight; None is this one, without ROS.
     """
     run = Recording(
         directory,
@@ -268,8 +308,11 @@ def recording(
         resume=resume,
         replace=replace,
         factor=factor,
+        machines=[this_machine()] if machines is None else machines,
     )
     try:
+        if resume:
+            run.read_digest()
         yield run
     finally:
         run.close()

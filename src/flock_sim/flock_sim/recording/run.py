@@ -21,7 +21,14 @@ from flock_sim.messages.types import ARRAYS
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
-from flock_sim.recording.flight_bag import recorded_configuration, recorded_factor, recorded_push
+from flock_sim.recording.flight_bag import (
+    recorded_configuration,
+    recorded_digest,
+    recorded_factor,
+    recorded_machines,
+    recorded_push,
+)
+from flock_sim.recording.machine import Machine
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -97,6 +104,16 @@ class Run:
         Raises FlockError if it can't be read.
         """
         return recorded_factor(self.bag)
+
+    @property
+    def state_digest(self) -> str | None:
+        """The digest of all states that the bag holds as a record; None if it holds none."""
+        return recorded_digest(self.bag)
+
+    @property
+    def machines(self) -> list[Machine]:
+        """The machines that recorded the flight, in order; none for bags from before."""
+        return recorded_machines(self.bag.records)
 
     def ages(self) -> Iterator[tuple[int, messages.Ages]]:
         """Yield (bird, ages of its data) in the order of the bag; nothing if not flown freely.

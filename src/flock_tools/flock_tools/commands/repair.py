@@ -161,12 +161,13 @@ def rewrite(run: Run, output: Path, *, replace: bool = False) -> int:
         live=live,
         replace=replace,
         factor=run.real_time_factor,
+        machines=run.machines,
     ) as whole:
         try:
             for topic, log_time, data in run.bag.salvage([]):
                 if pushes.take(topic, data):
                     try:
-                        whole.bag.write(topic, log_time, data)
+                        whole.write(topic, log_time, data)
                     except KeyError:
                         foreign += 1
             whole.bag.flush()

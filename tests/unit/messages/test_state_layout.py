@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serialised states are read many at once with the values that decoding gives."""
+
+import numpy as np
+import pytest
+
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.state_layout import fields_of, members_of, values_of
+from flock_sim.messages.types import ARRAYS, State
+
+
+@pytest.mark.parametrize("members", [1, 2, 7])
+def test_the_fields_are_those_of_decoded_states(members: int) -> None:
+    chance = np.random.default_rng(members)
+    states = [
+        State.at(FlockConfiguration(dt=0.25), step, *chance.standard_normal((4, members))).encode()
+        for step in (0, 3, 4000)
+    ]
+    assert [members_of(data) for data in states] == 3 * [members]
+    step, time, values = fields_of(b"".join(states), members)
+    decoded = [State.decode(data) for data in states]
+    assert step.tolist() == [state.step for state in decoded]
+    assert time.tolist() == [state.time for state in decoded]
+    expected = [[getattr(state, name) for name in ARRAYS] for state in decoded]
+    assert np.array_equal(values, expected)
+    assert np.array_equal(values_of(states, members), expected)
