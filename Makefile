@@ -4,7 +4,7 @@
 
 WORKERS = $(shell nproc)
 
-.PHONY: setup demo test test-kilted torture lint docs bench figures clean help
+.PHONY: setup demo test test-kilted other-machine torture lint docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
@@ -24,6 +24,9 @@ test: setup  ## run the tests; ALL=1: the slow ones too
 
 test-kilted:  ## fly with ROS 2 Kilted, which has Fast DDS 3, from a copy of this tree in build/kilted
 	@tools/test-kilted $(PYTEST_ARGS)
+
+other-machine: setup  ## fly the golden flights on emulated processors: 64-bit Arm, and x86 without FMA (needs Debian and qemu-user)
+	@tools/other-machine
 
 torture: setup  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
@@ -62,4 +65,4 @@ clean:  ## remove all build results; recorded flights are kept
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## list these targets
-	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 22
