@@ -54,10 +54,10 @@ figures: setup  ## redraw all figures in docs/figures
 	@./flock view --picture docs/figures/view.png runs/figures
 
 bench: setup  ## measure throughput
-	@if grep -q '^[^#]' requirements/bench.txt; then \
-		./flock python -m pip install --quiet --no-deps -r requirements/bench.txt; fi
+	@./flock python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements/bench.txt
 	@./flock python benchmarks/run.py
 	@./flock python benchmarks/scaling.py
+	@./flock python benchmarks/ensembles.py
 
 clean:  ## remove all build results; recorded flights are kept
 	rm -f .venv/flock-stamp build/flock-stamp

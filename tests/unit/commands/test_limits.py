@@ -42,6 +42,8 @@ def test_integrating_finds_the_exact_limits_to_its_resolution(
         "2e-3",
     )
     assert flown["member_steps"] >= 3 * 3 * 20000
+    rate = flown["member_steps"] / flown["seconds"]
+    assert flown["member_steps_per_second"] == pytest.approx(rate, rel=1e-12)
     for one, other in zip(exact["limits"], flown["limits"], strict=True):
         assert other["lower"] == pytest.approx(one["lower"], abs=4e-3)
         assert other["upper"] == pytest.approx(one["upper"], abs=4e-3)
