@@ -60,7 +60,7 @@ def record(
                 rows.append((place, topics.state_topic(bird), stamp, state.encode()))
     with recording(directory, configuration, grants=grants) as run:
         for _, topic, stamp, data in sorted(rows, key=lambda row: row[0]):
-            run.bag.write(topic, stamp, data)
+            run.write(topic, stamp, data)
     return directory
 
 

@@ -29,7 +29,6 @@ from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, recording
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.endpoints import DrainedNode
-from flock_sim.ros.machine import machine_with_ros
 from flock_sim.ros.process import Process, executing
 
 WAIT = 0.004
@@ -162,14 +161,7 @@ def record_played(process: Process, output: Path, replace: bool) -> None:
     """
     configuration, watchdog, connected = process.configuration, process.watchdog(), False
     with (
-        recording(
-            output,
-            configuration,
-            grants=False,
-            live=True,
-            replace=replace,
-            machines=[machine_with_ros()],
-        ) as run,
+        recording(output, configuration, grants=False, live=True, replace=replace) as run,
         executing(process.operation["executor"], process.context) as executor,
     ):
         node = PlayedRecorderNode(configuration, run, process.context)
