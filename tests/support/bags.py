@@ -21,10 +21,16 @@ def last_step(bag: Path) -> int:
 
 
 def assert_equal(terminal: Terminal, bag: str, reference: str, messages: int) -> None:
-    """Assert that two bags are complete and equal bit for bit, with each state once."""
+    """Assert that two bags are complete and equal bit for bit, with each state once.
+
+    Both have the digest of these states.
+    """
     done = terminal.run("compare", bag, reference, "--json")
     assert done.status == 0, done.stdout + done.stderr
     assert done.json["messages"] == messages
+    first, second = done.json["digests"]
+    assert first == second
+    assert first.startswith("sha256:")
     for name in (bag, reference):
         with Run(terminal.directory / name) as run:
             assert run.missing is None
@@ -55,3 +61,5 @@ def assert_stopped_as_the_reference(
         assert run.missing is not None
         assert "the flight was ended" in run.missing
     assert assert_begins_as(bag, terminal.directory / "reference") == birds * (end // every + 1)
+    with Run(bag) as part, Run(terminal.directory / "reference") as run:
+        assert part.state_digest == run.state_digest is not None

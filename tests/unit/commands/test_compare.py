@@ -3,7 +3,8 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 from math import inf, nan
 from pathlib import Path
 
@@ -13,10 +14,16 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.messages.types import State
+from flock_sim.recording import flight_writer
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.machine import Machine, this_machine
 from flock_sim.recording.run import Run
+from flock_tools.commands import repair
 from flock_tools.commands.compare import tool
+from flock_tools.runs import comparison
 from flock_tools.runs.comparison import Comparison, compare
-from support.flights import Change, record
+from flock_tools.runs.pairing import MOST_WAITING, pairs
+from support.flights import Change, flown_rows, record
 
 CONFIGURATION = FlockConfiguration(
     birds=5, t_max=40.0, record_every=2, span_ratios=("2=1.0,1.02,0.97", "4=1.01")
@@ -138,3 +145,115 @@ def test_bad_input_is_one_line_and_status_2(
     assert told.out == ""
     assert told.err.count("\n") == 1
     assert named in told.err
+
+
+def with_machine(directory: Path, *machines: Machine) -> Path:
+    with recording(directory, CONFIGURATION, grants=False, machines=machines) as run:
+        for row in flown_rows(CONFIGURATION):
+            run.write_row(row)
+    return directory
+
+
+def from_before(directory: Path) -> Path:
+    """Record a bag as it was before bags had digests and machines."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flight_writer, "result_record", lambda digest: {})
+        return with_machine(directory)
+
+
+def test_the_digests_and_machines_are_told(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = this_machine()
+    there = replace(here, processor="another", c_library="musl 1.2", numpy="1.0", rmw="rmw_x")
+    two = with_machine(tmp_path / "two", here, there)
+    assert run_tool(tool, [str(flight), str(two), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    with Run(flight) as run:
+        assert told["digests"] == 2 * [run.state_digest]
+        assert told["digests"][0].startswith("sha256:")
+    assert told["machines"] == [[asdict(here)], [asdict(here), asdict(there)]]
+
+    assert run_tool(tool, [str(flight), str(two)]) == 0
+    first, second = capsys.readouterr().out.splitlines()[1:]
+    facts = f"{here.processor}, {here.c_library}, NumPy {here.numpy}"
+    assert first == f"  {flight}: {told['digests'][0]}, recorded on {facts}"
+    assert second == (
+        f"  {two}: {told['digests'][0]}, recorded on {facts}; another, musl 1.2, NumPy 1.0"
+    )
+
+
+def test_a_bag_without_digest_and_machine_is_compared_as_before(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = from_before(tmp_path / "old")
+    assert run_tool(tool, [str(old), str(flight), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["digests"][0] is told["machines"][0] is None
+    assert told["digests"][1] is not None
+    assert run_tool(tool, [str(old), str(flight)]) == 0
+    line = capsys.readouterr().out.splitlines()[1]
+    assert line == f"  {old}: no digest of its states, recorded on an unknown machine"
+
+
+def test_other_values_have_another_digest(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = record(tmp_path / "other", CONFIGURATION, at(3, 20, speed=with_value(1, nan)))
+    assert run_tool(tool, [str(flight), str(other), "--json"]) == 1
+    digests = json.loads(capsys.readouterr().out)["digests"]
+    assert None not in digests
+    assert digests[0] != digests[1]
+
+
+@pytest.mark.parametrize("limit", [MOST_WAITING, 2000])
+@pytest.mark.parametrize("place", [0, 1])
+def test_states_that_do_not_have_the_digest_in_their_bag_are_damage(
+    flight: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    place: int,
+    limit: int,
+) -> None:
+    monkeypatch.setattr(comparison, "pairs", partial(pairs, limit=limit))
+    with Run(flight) as run:
+        digest = run.state_digest
+    with monkeypatch.context() as patch:
+        claimed = {"result": {"state_digest": str(digest)}}
+        patch.setattr(flight_writer, "result_record", lambda found: claimed)
+        change = at(3, 20, speed=with_value(1, 1.5))
+        forged = record(tmp_path / "forged", CONFIGURATION, change)
+    shuffled = record(tmp_path / "by bird", CONFIGURATION, change, bird_by_bird=True)
+    for other in (flight, shuffled):
+        runs = [str(other), str(forged)] if place else [str(forged), str(other)]
+        assert run_tool(tool, [*runs, "--json"]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.count("\n") == 1
+        assert f"{forged} is damaged, or was changed after its recording" in told.err
+        assert str(digest) in told.err
+
+
+def test_a_repaired_bag_is_not_damaged(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torn = tmp_path / "torn"
+    shutil.copytree(flight, torn)
+    (torn / "metadata.yaml").unlink()
+    (path,) = torn.glob("*.mcap")
+    path.write_bytes(path.read_bytes()[:-400])
+    assert run_tool(repair.tool, [str(torn)]) == 0
+    repaired = tmp_path / "torn-repaired"
+    capsys.readouterr()
+    assert run_tool(tool, [str(flight), str(repaired), "--json"]) == 0
+    digests = json.loads(capsys.readouterr().out)["digests"]
+    assert None not in digests
+    assert digests[0] == digests[1]
+    with recording(tmp_path / "half", CONFIGURATION, grants=False) as run:
+        for row in flown_rows(CONFIGURATION)[:9]:
+            run.write_row(row)
+    (tmp_path / "half" / "metadata.yaml").unlink()
+    assert run_tool(repair.tool, [str(tmp_path / "half")]) == 0
+    capsys.readouterr()
+    assert run_tool(tool, [str(tmp_path / "half-repaired"), str(flight)]) == 1

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,9 +66,10 @@ def tool(arguments: Sequence[str]) -> int:
         with _progress(first) as show:
             result = compare(first, second, tolerance, show)
         if options.json:
-            print_json(result.as_json())
+            print_json({**result.as_json(), **_origin_json((first, second))})
         else:
             print(told(result, first, second, tolerance))
+            print("\n".join(_origins((first, second))))
     return 0 if result.equal else DIFFERENT
 
 
@@ -94,6 +96,24 @@ def told(result: Comparison, first: Run, second: Run, tolerance: float | None) -
         if missing:
             lines.append(f"  {run.path} lacks {missing} state messages, {_end(run)}")
     return "\n".join(lines)
+
+
+def _origins(runs: Sequence[Run]) -> Iterator[str]:
+    """Yield a line for each run: the digest in it, its machines and how they differ."""
+    from flock_sim.recording.machine import differing
+
+    differences = differing(machine for run in runs for machine in run.machines)
+    for run in runs:
+        digest = run.state_digest or "no digest of its states"
+        facts = ("processor", "c_library", *differences)
+        machines = "; ".join(machine.told(*facts) for machine in run.machines)
+        yield f"  {run.path}: {digest}, recorded on {machines or 'an unknown machine'}"
+
+
+def _origin_json(runs: Sequence[Run]) -> dict[str, object]:
+    """Return for each run the digest in it and its machines; None for bags without."""
+    machines = [[asdict(machine) for machine in run.machines] or None for run in runs]
+    return {"digests": [run.state_digest for run in runs], "machines": machines}
 
 
 def _place(difference: Difference) -> str:

@@ -22,6 +22,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
 from flock_tools.runs.pairing import pairs
+from flock_tools.runs.verified_states import VerifiedStates
 
 BLOCK = 2048
 """Number of pairs of states that are compared at once."""
@@ -92,12 +93,13 @@ def compare(
     flock was flown. Perturbations requested in flight are not compared either, because states show
     their effect. `show` is called at intervals with the step reached. Memory is bounded.
 
-    Raises FlockError if a bag can't be read.
+    Raises FlockError if a bag can't be read, or its states do not have the digest in it.
     """
     result = Comparison(list(_configurations(first, second)), list(_wings(first, second)))
     birds = range(1, max(run.configuration.birds for run in (first, second)) + 1)
     states = _States(result, tolerance, (first, second), {topics.state_topic(b): b for b in birds})
-    for topic, left, right in pairs(first.bag, second.bag, list(states.bird_of)):
+    verified = VerifiedStates(first), VerifiedStates(second)
+    for topic, left, right in pairs(*verified, list(states.bird_of)):
         if left is None or right is None:
             states.miss(topic, left, right)
             continue
@@ -107,6 +109,8 @@ def compare(
         if result.messages % BLOCK == 0:
             show(step_of(left))
     states.finish()
+    for source in verified:
+        source.check()
     if result.messages == 0 and result.equal:
         empty = [str(run.path) for run in (first, second) if run.bag.last_time is None]
         raise FlockError(

@@ -5,13 +5,29 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
 
-from flock_sim.bag.reading.reader import BagReader
+from flock_sim.bag.reading.reader import Recorded
 from flock_sim.errors import FlockError
 from flock_sim.messages.state_layout import same_head, step_of
 
 MOST_WAITING = 64 * 2**20
 """Size of waiting messages above which topics are read one by one, in bytes."""
+
+
+class States(Protocol):
+    """A bag, of which only the messages are read: a `BagReader` or `VerifiedStates`."""
+
+    @property
+    def path(self) -> Path:
+        """The path of the bag."""
+        ...
+
+    def messages(self, topics: list[str], /) -> Iterator[Recorded]:
+        """Yield the messages (topic, log time, data) of `topics` in the order of the bag."""
+        ...
+
 
 Pair = tuple[str, bytes | None, bytes | None]
 
@@ -21,7 +37,7 @@ class TooFarApartError(Exception):
 
 
 def pairs(
-    first: BagReader, second: BagReader, topics: list[str], limit: int = MOST_WAITING
+    first: States, second: States, topics: list[str], limit: int = MOST_WAITING
 ) -> Iterator[Pair]:
     """Yield (topic, state in `first`, state in `second`), serialised; None for a missing state.
 
@@ -46,9 +62,7 @@ def pairs(
 class _Merge:
     """One pass over both bags. It reads the bag that is behind."""
 
-    def __init__(
-        self, first: BagReader, second: BagReader, topics: list[str], limit: int | None
-    ) -> None:
+    def __init__(self, first: States, second: States, topics: list[str], limit: int | None) -> None:
         self._bags = (first, second)
         self._sources = tuple(bag.messages(topics) for bag in self._bags)
         self._queues: dict[str, tuple[deque[bytes], deque[bytes]]] = {
