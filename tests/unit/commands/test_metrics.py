@@ -19,7 +19,7 @@ from support.flights import record
 KEYS = {
     *("birds", "members", "coupling", "dt", "steps", "t_final", "leader", "mean_speed"),
     *("speed_std", "stable", "spacing", "position", "lateral", "drag_reduction"),
-    *("mean_drag_reduction", "hierarchical", "profile_error"),
+    *("mean_drag_reduction", "hierarchical", "profile_error", "state_digest"),
 }
 
 
@@ -40,6 +40,8 @@ def test_the_json_is_the_contract(run: Path, capsys: pytest.CaptureFixture[str])
     assert (metrics["birds"], metrics["members"], metrics["leader"]) == (5, 2, 3)
     assert (metrics["coupling"], metrics["dt"]) == ("nearest", 1.0)
     assert (metrics["steps"], metrics["t_final"]) == (200, 200.0)
+    with Run(run) as recorded:
+        assert metrics["state_digest"] == recorded.state_digest is not None
     shapes = {
         **dict.fromkeys(("mean_speed", "speed_std", "stable"), (2,)),
         **dict.fromkeys(("mean_drag_reduction", "hierarchical", "profile_error"), (2,)),

@@ -5,6 +5,7 @@ import base64
 import hashlib
 import html
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -24,7 +25,9 @@ from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import add_flock_options, flock_configuration
 from flock_sim.console.arguments import Parser
-from flock_sim.recording import flight_bag
+from flock_sim.recording import flight_bag, flight_writer
+from flock_sim.recording.flight_writer import recording
+from flock_sim.recording.machine import this_machine
 from flock_sim.recording.output_directory import remove_bag
 from flock_sim.recording.run import Run
 from flock_tools.commands.report import tool
@@ -33,7 +36,7 @@ from flock_tools.report.data import MOST_NUMBERS, Room
 from flock_tools.report.decimation import bucket_width, ends, extremes, frame_rows
 from flock_tools.report.html import PAGE, SCRIPTS
 from flock_tools.runs.dataset import load
-from support.flights import record
+from support.flights import flown_rows, record
 from support.tool_runs import error_of, json_of, text_of
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>{{ 7 * 7 }}"
@@ -224,6 +227,43 @@ def test_markup_in_what_was_recorded_is_text(
     assert f"Flock {HOSTILE}" in page.text
     assert page.data["runs"][0]["name"] == str(path)
     assert "<" not in page.scripts[0]
+
+
+def test_the_page_has_the_digest_and_the_machines_of_a_run(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Run(flight) as run:
+        digest = str(run.state_digest)
+    (numbers,) = json_of(tool, capsys, str(flight), "--output", str(tmp_path / "b.html"))["runs"]
+    assert numbers["state_digest"] == digest
+    page = reported(flight, output=tmp_path / "a.html")
+    assert digest in page.text
+    assert this_machine().told() in page.text
+
+
+def test_a_run_of_two_machines_names_both_and_markup_in_them_is_text(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=3, t_max=20.0)
+    machines = [this_machine(), replace(this_machine(), processor=HOSTILE)]
+    with recording(tmp_path / "run", flown, grants=False, machines=machines) as run:
+        for row in flown_rows(flown):
+            run.write_row(row)
+    page = reported(tmp_path / "run", output=tmp_path / "a.html")
+    assert f"{machines[0].told()}; then {machines[1].told()}" in page.text
+    assert [tag for tag, _ in page.tags].count("script") == 2
+
+
+def test_a_run_from_before_is_reported_without_digest_and_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = FlockConfiguration(birds=3, t_max=20.0)
+    monkeypatch.setattr(flight_writer, "result_record", lambda digest: {})
+    with recording(tmp_path / "run", flown, grants=False, machines=[]) as run:
+        for row in flown_rows(flown):
+            run.write_row(row)
+    told = json_of(tool, capsys, str(tmp_path / "run"), "--output", str(tmp_path / "b.html"))
+    assert told["runs"][0]["state_digest"] is None
+    page = reported(tmp_path / "run", output=tmp_path / "a.html")
+    assert re.search(r"recorded on\s*not recorded\s*digest of the states\s*not recorded", page.text)
 
 
 def test_only_the_script_of_the_page_may_run_and_nothing_is_fetched(

@@ -45,9 +45,10 @@ def tool(arguments: Sequence[str]) -> int:
             note(f"note: {run.missing}; its intact part is used")
         metrics, fresh = run.metrics(time), freshness(run)
         off = _deviation(run) if fresh else None
+        digest = run.state_digest
     if options.json:
         free = {**fresh.as_json(), "deviation": off.as_json()} if fresh and off else {}
-        print_json({**metrics.as_json(), **free})
+        print_json({**metrics.as_json(), **free, "state_digest": digest})
         return 0
     print(summary(metrics))
     if fresh and off:

@@ -123,6 +123,10 @@ class Reported:
     pushes: list[str]
     """The perturbations that were requested in flight."""
     flock_version: str
+    state_digest: str | None
+    """The digest of all states; None for a bag without one."""
+    machines: list[str]
+    """The machines that recorded the flight, in words."""
     files: list[tuple[str, int, str]]
     """Name, size in bytes and SHA-256 of each file of the recording."""
 
@@ -144,6 +148,8 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
         theory=theory(run.configuration, metrics),
         pushes=[str(push) for push in run.perturbations()],
         flock_version=str(json.loads(record.get("flock_version", '"not recorded"'))),
+        state_digest=run.state_digest,
+        machines=[machine.told() for machine in run.machines],
         files=[_file(path) for path in _recordings(run.path)],
     )
 

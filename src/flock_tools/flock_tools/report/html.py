@@ -191,6 +191,8 @@ def _provenance(run: Reported) -> list[tuple[str, str]]:
         ("flown by", f"Flock {run.flock_version}"),
         ("command", f"{command(run)} (flies the same flock; the original command is not recorded)"),
         ("repeat bit for bit", again),
+        ("recorded on", "; then ".join(run.machines) or "not recorded"),
+        ("digest of the states", run.state_digest or "not recorded"),
         *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
         *[("SHA-256", digest) for _, _, digest in run.files],
         ("perturbations in flight", "; ".join(run.pushes) or "none"),

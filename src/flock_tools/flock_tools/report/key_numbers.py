@@ -185,5 +185,6 @@ def key_numbers(run: Reported) -> dict[str, Any]:
         "steady_speed": None if assessment is None else assessment.state.speed,
         "leading_eigenvalue": [[value.real, value.imag] for value in leading],
         "rows": run.history.rows,
+        "state_digest": run.state_digest,
         "sha256": [digest for _, _, digest in run.files],
     }
