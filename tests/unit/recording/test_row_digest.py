@@ -42,7 +42,7 @@ def watched(messages: list[tuple[int, bytes]]) -> RowDigest:
 MESSAGES = [(bird, data) for states in ROWS for bird, data in enumerate(states, start=1)]
 
 
-@pytest.mark.parametrize("batch", [1, 1000, 1 << 18])
+@pytest.mark.parametrize("batch", [1, 1000, 1 << 16])
 def test_rows_have_the_digest_of_their_states(monkeypatch: pytest.MonkeyPatch, batch: int) -> None:
     monkeypatch.setattr(row_digest, "BATCH", batch)
     digest = RowDigest(CONFIGURATION)

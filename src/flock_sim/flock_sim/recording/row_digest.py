@@ -17,7 +17,7 @@ from flock_sim.messages.types import STATE_STEP_AT, State
 Message = tuple[str, int, bytes]
 """Topic, log time in ns, serialised data."""
 
-BATCH = 1 << 18
+BATCH = 1 << 16
 """Size of states, in bytes, from which on they are hashed: many at once are faster."""
 
 
