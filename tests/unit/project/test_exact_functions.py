@@ -39,7 +39,7 @@ MATH = words("ceil copysign fabs floor inf isfinite isinf isnan nan nextafter pi
 
 NUMPY = words(
     # Types and constants.
-    "bool_ dtype float64 inf int32 int64 nan ndarray newaxis pi typing uint32 uint64 uint8 "
+    "bool_ dtype float64 inf int32 int64 nan ndarray newaxis pi typing uint32 uint64 uint8 void "
     # Arrays, their shapes and their elements. The values of `linspace` have tests of their own.
     "append arange array array_equal array_split asarray ascontiguousarray broadcast_arrays "
     "broadcast_to column_stack concatenate copyto empty empty_like flatnonzero frombuffer full "
