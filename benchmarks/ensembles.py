@@ -187,7 +187,7 @@ def measured(
 
 def facts(values: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
     """Return titles, rounds, medians and ratios of medians, by case."""
-    told = {}
+    told: dict[str, Any] = {}
     for case, rounds in values.items():
         middle = {name: median(found) for name, found in rounds.items()}
         told[case] = {

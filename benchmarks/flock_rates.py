@@ -17,9 +17,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from served import SECONDS, rate, serve, span_ratios
+
+if TYPE_CHECKING:
+    from flock_sim.reference.integrator import Reference
 
 BIRD = 7
 NEIGHBOURS = (6, 8)
@@ -51,7 +55,7 @@ def stage(birds: int, members: int) -> float:
     return done / (now - begun)
 
 
-def _reference(coupling: str, ratio: np.ndarray):
+def _reference(coupling: str, ratio: np.ndarray) -> Reference:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.reference.integrator import Reference
 

@@ -109,4 +109,4 @@ def rate(fly: Callable[[np.ndarray], Advances], ratio: np.ndarray) -> float:
     with ThreadPoolExecutor(threads) as pool:
         runs = list(pool.map(run, np.array_split(ratio, threads, axis=1)))
     taken, begun, ended = zip(*runs, strict=True)
-    return sum(taken) / (max(ended) - min(begun))
+    return float(sum(taken) / (max(ended) - min(begun)))
