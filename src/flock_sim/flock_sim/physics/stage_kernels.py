@@ -13,7 +13,7 @@ import numpy as np
 
 from flock_sim.physics.aerodynamics import even_part
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.compile import kernel
+from flock_sim.physics.compile import inlined, kernel
 from flock_sim.physics.dynamics import acceleration, canonical, drag_of_pair
 from flock_sim.physics.runge_kutta import STAGES, TABLEAU
 
@@ -83,7 +83,7 @@ def compute_drags(interactions: FloatArray) -> None:
         )
 
 
-@kernel
+@inlined
 def move(
     stage: int,
     dt: float,

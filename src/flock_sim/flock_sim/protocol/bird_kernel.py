@@ -7,14 +7,18 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.stage_layout import FIRST_WORD
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
-from flock_sim.physics.dynamics import canonical, circulation_at
+from flock_sim.physics.dynamics import canonical, circulation_at, drag_of_pair
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.scaling import BirdCoefficients, Scales
 from flock_sim.physics.stage_kernels import (
     CIRCULATION,
     DISTANCE,
+    EVEN,
+    HALF_SPAN,
+    LATERAL,
     ON_BIRD,
     OTHER_CIRCULATION,
+    OTHER_HALF_SPAN,
     compute_drags,
     move,
 )
@@ -27,6 +31,9 @@ OWN_ROWS = 5
 # weighted sums of their slopes.
 DRAG, POSITION, SPEED, POSITION_SLOPES, SPEED_SLOPES = range(5)
 WORK_ROWS = 5
+
+FEW = 4
+"""Number of neighbours times members below which a vector costs more than single numbers."""
 
 
 def constants(bird: int, configuration: FlockConfiguration) -> FloatArray:
@@ -71,20 +78,35 @@ def feel_and_move(
     speed = FIRST_WORD + members + 1
     circulation = FIRST_WORD + 2 * (members + 1)
 
-    for k in range(heard.shape[1]):
-        other = heard[tick & 1, k]
-        for m in range(members):
-            at = k * members + m
-            interactions[DISTANCE, at] = other[position + m] - now[position + m]
-            interactions[CIRCULATION, at] = now[circulation + m]
-            interactions[OTHER_CIRCULATION, at] = other[circulation + m]
-    compute_drags(interactions)
     for m in range(members):
         work[DRAG, m] = 0.0
-    for k in range(heard.shape[1]):
-        for m in range(members):
-            on_me = interactions[ON_BIRD, k * members + m]
-            work[DRAG, m] = canonical(work[DRAG, m] + on_me)
+    if heard.shape[1] * members < FEW:
+        for k in range(heard.shape[1]):
+            other = heard[tick & 1, k]
+            for m in range(members):
+                on_me, _ = drag_of_pair(
+                    other[position + m] - now[position + m],
+                    interactions[LATERAL, k * members + m],
+                    interactions[HALF_SPAN, k * members + m],
+                    interactions[OTHER_HALF_SPAN, k * members + m],
+                    interactions[EVEN, k * members + m],
+                    now[circulation + m],
+                    other[circulation + m],
+                )
+                work[DRAG, m] = canonical(work[DRAG, m] + on_me)
+    else:
+        for k in range(heard.shape[1]):
+            other = heard[tick & 1, k]
+            for m in range(members):
+                at = k * members + m
+                interactions[DISTANCE, at] = other[position + m] - now[position + m]
+                interactions[CIRCULATION, at] = now[circulation + m]
+                interactions[OTHER_CIRCULATION, at] = other[circulation + m]
+        compute_drags(interactions)
+        for k in range(heard.shape[1]):
+            for m in range(members):
+                on_me = interactions[ON_BIRD, k * members + m]
+                work[DRAG, m] = canonical(work[DRAG, m] + on_me)
 
     position_now = following[position : position + members]
     speed_now = following[speed : speed + members]
