@@ -42,7 +42,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     is less than that of the configuration if the flight was stopped.
     """
     last = flight["last_step"]
-    metrics = fresh = None
+    metrics = fresh = digest = None
     if flight["output"] is not None:
         # Imported at the end of a flight, so that they do not delay its start.
         from flock_sim.analysis.summary import summary
@@ -51,7 +51,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
 
         with Run(flight["output"]) as run:
             metrics = run.metrics()
-            fresh = freshness(run)
+            fresh, digest = freshness(run), run.state_digest
     if last < configuration.steps:
         on = "" if flight["output"] is None else f"; fly --resume {flight['output']} continues it"
         note(f"note: the flight was ended at step {last} of {configuration.steps}{on}")
@@ -63,6 +63,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
         )
     if as_json:
         said = [known.as_json() for known in (metrics, fresh) if known is not None]
+        said.append({"state_digest": digest})
         print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
     if metrics is not None:
