@@ -13,9 +13,8 @@ loses speed when it falls far behind all others, in their full wake: if the shar
 
     s_S = (sum_{S} R_j - sum_{pairs in S} C_ij) / sum_{pairs across} C_ij,    C_ij = D_ij + D_ji,
 
-is 1 or more (a cut that carries less than it must). Newton's method then runs towards infinity,
-and one of the sets that lag behind in its iterates has such a share. This proves that no formation
-exists.
+is 1 or more. Otherwise the convex function grows in every direction, and the state exists.
+`worst_sets` finds the set with the largest share.
 """
 
 import numpy as np
@@ -39,9 +38,6 @@ steps halve it, however far the solution is."""
 
 OVERSHOOT = 0.5
 """Largest reverse force at the end of a step, relative to the force along the step at its start."""
-
-FOUND, PARTED, NOT_CONVERGED = 0, 1, 2
-"""Results of the search for a steady state."""
 
 
 @kernel
@@ -121,15 +117,12 @@ def settle(
     lateral: FloatArray,
     even: FloatArray,
     strength: FloatArray,
-) -> tuple[int, float]:
-    """Find the steady state of one flock; return how the search ended, and the last share.
+) -> bool:
+    """Find the steady state of one flock that has one; return whether the search converged.
 
     `position` (birds,), in b, is the start of the search, and then its result. `needed` are R_j / k
     of the birds, `strength` K_ij / k of the pairs; the others are as in `Flock`, for one member.
-    The end is FOUND, PARTED or NOT_CONVERGED. The share is the largest of birds that lag behind
-    together; it is 1 or more if PARTED.
     """
-    saved = 2.0 * strength * even
     force = np.empty_like(position)
     stiffness = np.empty_like(strength)
     trial = np.empty_like(position)
@@ -137,9 +130,6 @@ def settle(
     _forces(position, needed, half_span, pairs, lateral, even, strength, force, stiffness)
     for _ in range(MOST_ITERATIONS):
         order = np.argsort(position)
-        share = _largest_share(order, needed, pairs, saved)
-        if share >= 1.0:
-            return PARTED, share
         step = _newton_step(order, force, pairs, stiffness)
         along = np.dot(force, step)
         if not np.isfinite(along):
@@ -148,7 +138,7 @@ def settle(
         rest = np.max(np.abs(force))
         if np.max(np.abs(step)) <= CONVERGED * size:
             position += step
-            return FOUND, share
+            return True
         length = 1.0
         for _ in range(MOST_HALVINGS):
             trial[:] = position + length * step
@@ -158,8 +148,8 @@ def settle(
             length *= 0.5
         position[:] = trial
         if rest <= BALANCED * size * largest and np.max(np.abs(force)) > 0.5 * rest:
-            return FOUND, share
-    return NOT_CONVERGED, share
+            return True
+    return False
 
 
 @kernel
@@ -213,19 +203,3 @@ def _newton_step(
     step[order[1:]] = np.cumsum(widening)
     step -= step[birds // 2]
     return step
-
-
-@kernel
-def _largest_share(
-    order: npt.NDArray[np.int64],
-    needed: FloatArray,
-    pairs: npt.NDArray[np.int64],
-    saved: FloatArray,
-) -> float:
-    """Return the largest share of the sets of birds that lag behind all others in `order`."""
-    behind = np.zeros(len(order), dtype=np.bool_)
-    largest = -np.inf
-    for k in range(len(order) - 1):
-        behind[order[k]] = True
-        largest = max(largest, share_of(behind, needed, pairs, saved))
-    return largest

@@ -67,10 +67,8 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
     groups = _together(found, flock.coupling == "nearest")
     if len(groups) == 1:
         # So close to a limit that the speeds differ by rounding only.
-        gap = int(equilibrium.weakest_gap[member])
-        groups = [list(birds[gap:]), list(birds[:gap])]
-        if equilibrium.share[gap - 1, member] < 0.5:
-            groups.reverse()
+        behind = equilibrium.worst_set[:, member]
+        groups = [[bird for bird in birds if behind[bird - 1] == last] for last in (False, True)]
     return groups
 
 

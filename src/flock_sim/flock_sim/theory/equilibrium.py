@@ -47,10 +47,17 @@ class Equilibrium:
     no formation exists, it is the share that a balance of forces at U* would need.
     """
     margin: FloatArray
-    """Least distance of a share from 0 or 1, shape (members,): below 0 if no formation exists.
+    """Least distance of the share of any set of birds from 1, shape (members,).
 
-    With all-to-all coupling, birds that are not neighbours can fall behind together. If they do,
-    the excess of their share over 1 counts as well. The margin of a single bird is inf.
+    It is above 0 exactly if a formation exists. The share of the birds outside of a set is one less
+    that of the set, so it is the least distance from 0 or 1 as well. With nearest-neighbour
+    coupling it is that of `share`. The margin of a single bird is inf.
+    """
+    worst_set: npt.NDArray[np.bool_]
+    """Whether a bird is in the set of this share, shape (birds, members).
+
+    The birds of this set are the first to fall behind all others. No bird is in it for a bird
+    alone, and if no speed balances thrust and drag.
     """
     drag_reduction: FloatArray
     """eta_i = -(sum_j D_ji) / D_0, shape (birds, members)."""
@@ -73,17 +80,24 @@ class Equilibrium:
         Gap i is between birds i and i + 1. Of equally weak gaps, such as a gap and its mirror
         image, it is the first. It is 0 for a bird alone, and if no speed balances thrust and drag.
         """
-        if not len(self.share):
+        return _weakest_gap(self.share)
+
+    @property
+    def worst_gap(self) -> npt.NDArray[np.int64]:
+        """The gap between `worst_set` and all other birds, shape (members,).
+
+        It is 0 if more than one gap is between them, or if there is no such set.
+        """
+        between = self.worst_set[1:] != self.worst_set[:-1]
+        if not len(between):
             return np.zeros(len(self.exists), dtype=np.int64)
-        margin = distance_from_end(self.share)
-        first = np.argmax(margin <= margin.min(axis=0) + TIE, axis=0) + 1
-        return np.where(np.isnan(margin).any(axis=0), 0, first)
+        return np.where(between.sum(axis=0) == 1, np.argmax(between, axis=0) + 1, 0)
 
 
 def equilibrium(flock: Flock) -> Equilibrium:
     """Return the steady states of all members of `flock`: exact for `nearest`, Newton for `all`.
 
-    Raises RunFailed if Newton's method neither finds a state nor proves that none exists.
+    Raises RunFailed if Newton's method does not find a state that exists.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a member that overflows is nan
         return _equilibrium(flock)
@@ -93,10 +107,11 @@ def _equilibrium(flock: Flock) -> Equilibrium:
     if flock.coupling == "nearest" or flock.birds == 1:
         square, share = nearest_shares(flock)
         margin = distance_from_end(share).min(axis=0, initial=np.inf)
+        worst = _worst_of_gaps(share)
         spacing = np.empty_like(share)
         nearest.fill_spacings(flock.span_ratio, share, spacing)
     else:
-        square, share, spacing, margin = _all_to_all(flock)
+        square, share, spacing, margin, worst = _all_to_all(flock)
     exists = (margin > 0.0) & np.isfinite(square)
     known = np.where(exists, square, np.nan)
     spacing[:, ~exists] = np.nan
@@ -109,6 +124,7 @@ def _equilibrium(flock: Flock) -> Equilibrium:
         spacing=spacing,
         share=share,
         margin=margin,
+        worst_set=worst,
         drag_reduction=drag_reduction(balances(flock.span_ratio, known, ratio), 2.0 * ratio),
     )
 
@@ -128,9 +144,29 @@ def distance_from_end(share: FloatArray) -> FloatArray:
     return distance
 
 
-def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return U*^2, shares, spacings and margins of all-to-all coupling."""
-    from flock_sim.theory import all_to_all  # kernels not used for `nearest`
+def _weakest_gap(share: FloatArray) -> npt.NDArray[np.int64]:
+    if not len(share):
+        return np.zeros(share.shape[1], dtype=np.int64)
+    margin = distance_from_end(share)
+    first = np.argmax(margin <= margin.min(axis=0) + TIE, axis=0) + 1
+    return np.where(np.isnan(margin).any(axis=0), 0, first)
+
+
+def _worst_of_gaps(share: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return the birds on that side of the weakest gap that falls behind, (birds, members)."""
+    gap = _weakest_gap(share)
+    bird = np.arange(len(share) + 1)[:, np.newaxis]
+    if not len(share):
+        return np.zeros_like(bird == gap)
+    of_gap = np.take_along_axis(share, np.maximum(gap - 1, 0)[np.newaxis], axis=0)[0]
+    return np.where(of_gap >= 0.5, bird < gap, bird >= gap) & (gap > 0)
+
+
+def _all_to_all(
+    flock: Flock,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Return U*^2, shares, spacings, margins and worst sets of all-to-all coupling."""
+    from flock_sim.theory import all_to_all, worst_sets  # kernels not used for `nearest`
 
     square = np.empty(flock.members)
     share = np.empty((flock.birds - 1, flock.members))
@@ -146,14 +182,15 @@ def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, Float
         needed,
         share,
     )
-    margin = distance_from_end(share).min(axis=0, initial=np.inf)
+    margin, worst = np.empty(flock.members), _worst_of_gaps(share)
+    worst_sets.find_worst_sets(needed, flock.pairs, 2.0 * strength * flock.even, worst, margin)
     spacing = np.empty_like(share)
     near = np.clip(nearest_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
     nearest.fill_spacings(flock.span_ratio, near, spacing)
     start = formation.positions(np.nan_to_num(spacing))
     for m in np.flatnonzero(margin > 0.0):
         position = start[:, m].copy()
-        end, largest = all_to_all.settle(
+        found = all_to_all.settle(
             position,
             needed[:, m].copy(),
             flock.half_span[:, m].copy(),
@@ -162,13 +199,10 @@ def _all_to_all(flock: Flock) -> tuple[FloatArray, FloatArray, FloatArray, Float
             flock.even[:, m].copy(),
             strength[:, m].copy(),
         )
-        if end == all_to_all.NOT_CONVERGED:
+        if not found:
             raise RunFailed(
-                f"member {m + 1}: Newton's method neither found a steady state nor showed that "
-                f"there is none, in {all_to_all.MOST_ITERATIONS} iterations; its margin is below "
-                f"{margin[m]:.3g}"
+                f"member {m + 1}: Newton's method did not find the steady state in "
+                f"{all_to_all.MOST_ITERATIONS} iterations; its margin is {margin[m]:.3g}"
             )
-        if end == all_to_all.PARTED:
-            margin[m] = min(margin[m], 1.0 - largest)
         spacing[:, m] = np.diff(position)
-    return square, share, spacing, margin
+    return square, share, spacing, margin, worst
