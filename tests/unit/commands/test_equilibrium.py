@@ -34,15 +34,24 @@ def test_the_json_is_the_contract(coupling: str, capsys: pytest.CaptureFixture[s
     for m in (0, 1):
         share = np.array(found["share"][m])
         assert np.all((share > 0.0) & (share < 1.0))
-        assert found["margin"][m] == np.minimum(share, 1.0 - share).min() > 0.0
+        least = np.minimum(share, 1.0 - share).min()
+        # With all-to-all coupling, both tails are nearer to falling behind than either is.
+        assert (
+            0.0 < found["margin"][m] < least if coupling == "all" else found["margin"][m] == least
+        )
         assert found["leading_eigenvalue"][m][0] < 0.0
         assert found["parts"][m] == [[1, 2, 3, 4, 5]]
     assert found["margin"][2] < 0.0
     assert found["speed"][2] is None
     assert found["spacing"][2] == [None] * 4
     assert found["leading_eigenvalue"][2] == [None, None]
-    assert found["weakest_gap"][2] in (2, 3)
     assert found["parts"][2][-1] == [3]
+    if coupling == "nearest":
+        assert found["weakest_gap"][2] in (2, 3)
+        assert found["worst_set"] == [[1], [1], [3, 4, 5]]
+    else:
+        assert found["weakest_gap"] == [None, None, None]
+        assert found["worst_set"] == [[1, 5], [1, 5], [3]]
 
 
 def test_a_steady_state_is_that_of_a_flock_that_nobody_pushes(
@@ -57,6 +66,7 @@ def test_a_bird_alone_has_its_own_speed_and_no_gap(capsys: pytest.CaptureFixture
     found = json_of(tool, capsys, "--birds", "1")
     assert found["speed"] == pytest.approx([18.5 / 18.0], rel=1e-14)
     assert (found["spacing"], found["share"], found["weakest_gap"]) == ([[]], [[]], [None])
+    assert found["worst_set"] == [[]]
     assert (found["exists"], found["stable"], found["margin"]) == ([True], [True], [None])
     assert found["drag_reduction"] == [[0.0]]
     assert "flies alone, stable" in text_of(tool, capsys, "--birds", "1")
@@ -76,6 +86,48 @@ def test_what_parts_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None
     assert "birds 1 to 3; birds 5 to 7; bird 4" in text
 
 
+def test_the_margin_is_that_of_the_worst_set_of_all(capsys: pytest.CaptureFixture[str]) -> None:
+    # The leader is so small that it almost falls behind. The shares of birds 1..i do not show it.
+    flock = ("--birds", "7", "--coupling", "all", "--span-ratio", "4=0.8004")
+    found = json_of(tool, capsys, *flock)
+    share = np.array(found["share"][0])
+    assert np.minimum(share, 1.0 - share).min() == pytest.approx(0.1947, abs=5e-5)
+    assert found["margin"][0] == pytest.approx(1.168e-4, abs=5e-8)
+    assert (found["exists"], found["worst_set"]) == ([True], [[4]])
+    assert found["weakest_gap"] == [None]
+    text = text_of(tool, capsys, *flock)
+    assert "weakest set          bird 4 falls behind the others first: margin 0.0001168" in text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "verdict", "worst"),
+    [
+        ("4=0.7", "bird 4 falls behind the others", [4]),
+        ("4=1.12", "bird 4 gets ahead of the others", [1, 2, 3, 5, 6, 7]),
+        ("1=0.8", "gap 1 opens, between birds 1 and 2", [1]),
+    ],
+)
+def test_a_set_that_is_not_at_one_side_of_a_gap_is_told(
+    ratio: str, verdict: str, worst: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    flock = ("--birds", "7", "--coupling", "all", "--span-ratio", ratio)
+    assert f"no formation: {verdict}" in text_of(tool, capsys, *flock)
+    found = json_of(tool, capsys, *flock)
+    assert found["worst_set"] == [worst]
+    assert found["weakest_gap"] == [1 if worst == [1] else None]
+    assert found["margin"][0] < 0.0
+
+
+def test_so_close_to_a_limit_that_speeds_are_equal_the_worst_set_parts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # The limit of this leader is 0.80035332336887.
+    flock = ("--birds", "7", "--coupling", "all", "--span-ratio", "4=0.8003533233688")
+    found = json_of(tool, capsys, *flock)
+    assert -1e-12 < found["margin"][0] < 0.0
+    assert found["parts"] == [[[1, 2, 3, 5, 6, 7], [4]]]
+
+
 def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) -> None:
     # Below lambda H_0 = 1 a bird alone has no cruising speed, and here no neighbour saves enough.
     small = [f"--span-ratio={bird}=0.55" for bird in (1, 2)]
@@ -84,7 +136,7 @@ def test_a_flock_without_a_speed_is_told_so(capsys: pytest.CaptureFixture[str]) 
     )
     found = json_of(tool, capsys, "--birds", "2", *small)
     assert (found["exists"], found["margin"], found["weakest_gap"]) == ([False], [None], [None])
-    assert found["parts"] == [[]]
+    assert (found["parts"], found["worst_set"]) == ([[]], [[]])
 
 
 @pytest.mark.parametrize("ratio", ["1.0747244880", "1.0747244878846", "0.956787155", "0.9567871"])

@@ -101,13 +101,9 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
         f"  mean drag reduction  {100.0 * state.drag_reduction[:, m].mean():.2f} %",
     ]
     if birds > 1:
-        gap = assessment.weakest_gap[m]
         lines += wings(state.spacing[:, m], state.drag_reduction[:, m], formation.leader(birds))
         lines += row("share D/C", state.share[:, m], 4, "(gap 1, 2, ...)")
-        lines += [
-            f"  weakest gap          {gap}, between {birds_told([gap, gap + 1])}: "
-            f"share {state.share[gap - 1, m]:.4f}, margin {state.margin[m]:.4g}"
-        ]
+        lines.append(_weakest(assessment, m))
     if cmath.isnan(leading):
         return lines
     if leading.real == 0.0:
@@ -122,18 +118,38 @@ def _formation(assessment: Assessment, m: int) -> list[str]:
     ]
 
 
+def _weakest(assessment: Assessment, m: int) -> str:
+    """Return the line on the set of birds that is nearest to parting from the others."""
+    state, gap = assessment.state, assessment.weakest_gap[m]
+    margin = f"margin {state.margin[m]:.4g}"
+    if not gap:
+        return f"  weakest set          {_parting(assessment, m)} first: {margin}"
+    share = f"share {state.share[gap - 1, m]:.4f}"
+    return f"  weakest gap          {gap}, between {birds_told([gap, gap + 1])}: {share}, {margin}"
+
+
+def _parting(assessment: Assessment, m: int) -> str:
+    """Return how the worst set parts from the others; the smaller of both is named."""
+    behind = assessment.worst_set[m]
+    others = [bird for bird in range(1, assessment.configuration.birds + 1) if bird not in behind]
+    named, verb = (behind, "fall") if len(behind) <= len(others) else (others, "get")
+    plural = "" if len(named) > 1 else "s"
+    where = "behind" if named is behind else "ahead of"
+    return f"{birds_told(named)} {verb}{plural} {where} the others"
+
+
 def _none(assessment: Assessment, m: int) -> list[str]:
     state, groups, gap = assessment.state, assessment.parts[m], assessment.weakest_gap[m]
-    if not gap:
+    if not groups:
         what = "no formation: at no speed does the thrust balance the drag"
         if assessment.configuration.birds == 1:
             what = "can't fly: at no speed does its thrust balance its drag"
         return [f"  verdict              {what}"]
     from flock_sim.analysis.summary import row
 
+    opens = f"gap {gap} opens, between {birds_told([gap, gap + 1])}"
     lines = [
-        "  verdict              no formation: "
-        f"gap {gap} opens, between {birds_told([gap, gap + 1])}",
+        f"  verdict              no formation: {opens if gap else _parting(assessment, m)}",
         "  parts, fastest first " + "; ".join(birds_told(group) for group in groups),
         f"  margin               {state.margin[m]:.4g}",
     ]

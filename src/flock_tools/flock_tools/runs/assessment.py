@@ -33,7 +33,10 @@ class Assessment:
     parts: list[list[list[int]]]
     """For each member: the groups of birds that stay together, the fastest group first."""
     weakest_gap: list[int]
-    """For each member: the gap nearest to opening, or the gap that opens; 0 for none."""
+    """For each member: the gap nearest to opening, or the gap that opens; 0 for none.
+
+    It is also 0 where the worst set is not all birds on one side of a gap.
+    """
 
     @classmethod
     def of(cls, configuration: FlockConfiguration) -> Assessment:
@@ -42,8 +45,8 @@ class Assessment:
         state = equilibrium(flock)
         groups = [parts(flock, state, m) for m in range(flock.members)]
         weakest = [
-            int(gap) if state.exists[m] else opening_gap(state, groups[m], m)
-            for m, gap in enumerate(state.weakest_gap)
+            int(gap) if state.exists[m] or not gap else opening_gap(state, groups[m], m)
+            for m, gap in enumerate(state.worst_gap)
         ]
         found = None
         if 8.0 * flock.birds**3 * flock.members <= MOST_WORK:
@@ -64,6 +67,14 @@ class Assessment:
             return [complex(np.nan, np.nan)] * len(self.state.exists)
         return list(self.eigenvalues[:, 0].tolist())
 
+    @property
+    def worst_set(self) -> list[list[int]]:
+        """For each member: the birds (from 1) that are the first to fall behind all others.
+
+        It is empty for a bird alone, and if no speed balances thrust and drag.
+        """
+        return [(np.flatnonzero(birds) + 1).tolist() for birds in self.state.worst_set.T]
+
     def as_json(self) -> dict[str, Any]:
         """Return all results as plain values."""
         state, configuration = self.state, self.configuration
@@ -80,6 +91,7 @@ class Assessment:
             "stable": self.stable,
             "leading_eigenvalue": [[value.real, value.imag] for value in self.leading_eigenvalue],
             "weakest_gap": [gap or None for gap in self.weakest_gap],
+            "worst_set": self.worst_set,
             "parts": self.parts,
             "lateral": state.lateral.T,
         }
