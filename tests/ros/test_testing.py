@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import os
 import threading
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -21,10 +22,12 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.stage_kernels import move
+from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.control_force import Perception
 from flock_sim.recording.run import Run
 from flock_sim.reference.flock_kernel import add_forces, fill_circulation
 from flock_sim.reference.integrator import Reference
+from flock_sim.ros.process import new_incarnation
 from flock_sim.ros.settings_check import shared_memory
 from flock_tools.runs.dataset import load
 from flock_tools.testing import fly
@@ -156,6 +159,31 @@ def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit()
     flown = fly(flock, bird=Keeper).speed.values
     np.testing.assert_array_equal(flown, forced(flock))
     assert not np.array_equal(flown, fly(flock).speed)
+
+
+def pulled(view: Perception) -> float:
+    """A force for birds of Flock's own class."""
+    return 0.1 if view.bird == 2 else 0.0
+
+
+def steered(bird: int, flown: FlockConfiguration, run_id: int, **options: Any) -> BirdNode:
+    """Return a bird of Flock's class with the control `pulled`."""
+    protocol = BirdProtocol(bird, flown, run_id, new_incarnation(), pulled)
+    return BirdNode(bird, flown, run_id, protocol=protocol, **options)
+
+
+@pytest.mark.parametrize(
+    ("bird", "name"),
+    [(Keeper, "Keeper"), (Watched, "Watched"), (partial(Keeper), "Keeper"), (steered, "pulled")],
+    ids=["control", "other class", "factory", "protocol"],
+)
+def test_the_bag_names_birds_that_are_not_in_flock_and_they_are_not_repeated(bird, name, tmp_path):
+    flown = fly(birds=2, t_max=20.0, bird=bird, output=tmp_path / "bag")
+    assert flown.attrs["own_parts"] == f"bird {name}"
+    again = ["--repeat", str(tmp_path / "bag"), "--output", str(tmp_path / "again")]
+    with pytest.raises(FlockError, match=f"flown by birds of {name}, which are not in Flock"):
+        reference.tool(again)
+    assert not (tmp_path / "again").exists()
 
 
 @pytest.mark.parametrize(

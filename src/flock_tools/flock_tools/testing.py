@@ -25,10 +25,12 @@ from flock_sim.messages import topics
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.bird_process import create_birds, fly_together
 from flock_sim.nodes.clock import ClockNode, keep_time
+from flock_sim.nodes.own_birds import own_birds
 from flock_sim.nodes.recorder import RecorderNode, record
 from flock_sim.protocol.clock import Timekeeper, new_run_id
 from flock_sim.recording.flight_writer import Recording, recording
 from flock_sim.recording.output_directory import own_output
+from flock_sim.recording.own_parts import add_birds
 from flock_sim.ros.discovery import (
     DOMAIN,
     ELSEWHERE,
@@ -64,10 +66,10 @@ def fly(
     Clock, recorder and birds are the nodes of `flock fly`. Each runs in a thread of its own. The
     flight has a ROS domain of its own, and discovery stays on this machine. `parameters` are keys
     of the configuration file. They override `configuration`. `bird` creates all birds: BirdNode or
-    a replacement, such as a subclass with a `control`. With `output` the bag is kept there. The
-    environment, temporary files and shared memory are restored afterwards. Other ROS contexts of
-    the process are not touched. Only one such flight may run at a time, because the flight changes
-    the environment of the process.
+    a replacement, such as a subclass with a `control`; the bag names its class. With `output` the
+    bag is kept there. The environment, temporary files and shared memory are restored afterwards.
+    Other ROS contexts of the process are not touched. Only one such flight may run at a time,
+    because the flight changes the environment of the process.
 
     Raises FlockError on bad input, RunFailed after `timeout` s of standstill, and any exception of
     your own birds.
@@ -142,6 +144,7 @@ def _fly(
         of_recorder.add_node(recorder)
         indices = range(1, configuration.birds + 1)
         birds = create_birds(indices, configuration, run_id, of_birds, kind=bird)
+        add_birds(run.bag, own_birds(birds))
 
         def watchdog() -> Watchdog:
             return Watchdog(timeout + NODE_MARGIN, lambda line: None)

@@ -13,6 +13,7 @@ from flock_sim.recording.output_directory import Output, own_new_output, own_out
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
+    from flock_sim.recording.own_parts import OwnPart
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -42,16 +43,18 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     is less than that of the configuration if the flight was stopped.
     """
     last = flight["last_step"]
-    metrics = fresh = digest = None
+    metrics = fresh = None
+    own: list[OwnPart] = []
     if flight["output"] is not None:
         # Imported at the end of a flight, so that they do not delay its start.
         from flock_sim.analysis.summary import summary
         from flock_sim.recording.message_age import freshness
+        from flock_sim.recording.own_parts import lacking
         from flock_sim.recording.run import Run
 
         with Run(flight["output"]) as run:
             metrics = run.metrics()
-            fresh, digest = freshness(run), run.state_digest
+            fresh, own = freshness(run), run.own_parts
     if last < configuration.steps:
         on = "" if flight["output"] is None else f"; fly --resume {flight['output']} continues it"
         note(f"note: the flight was ended at step {last} of {configuration.steps}{on}")
@@ -61,9 +64,11 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
             f"note: the last {rest} steps were flown but not recorded: the last recorded step is "
             f"{metrics.steps}; choose a --record-every that divides {last}"
         )
+    if own:
+        note(f"note: {lacking(own)}")
     if as_json:
         said = [known.as_json() for known in (metrics, fresh) if known is not None]
-        said.append({"state_digest": digest})
+        said.append({"own_parts": [str(part) for part in own]})
         print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
     if metrics is not None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from flock_sim.physics.flock_state import FlockState
     from flock_sim.recording.output_directory import Output
     from flock_sim.recording.row_assembler import Row
+    from flock_sim.recording.run import Run
 
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
@@ -75,12 +76,29 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
     with Run(options.repeat) as run:
         if run.missing:
             note(f"note: {run.missing}; it is repeated to its planned end")
+        _check_own(run)
         if run.real_time_factor:
             note(
                 f"note: {options.repeat} is a free flight, which can't be repeated; this flight is "
                 "in lockstep"
             )
         return run.configuration, run.perturbations()
+
+
+def _check_own(run: Run) -> None:
+    """Raise FlockError if the run has birds that only another program can fly."""
+    from flock_sim.recording.own_parts import BIRD, LINK_MODEL, names
+
+    if birds := names(run.own_parts, BIRD):
+        raise FlockError(
+            f"--repeat {run.path}: it was flown by birds of {birds}, which are not in Flock, and "
+            "the bag contains only the name; fly them again by flock_tools.fly(bird=...)"
+        )
+    if models := names(run.own_parts, LINK_MODEL):
+        note(
+            f"note: the link model {models} of {run.path} is not in Flock; this flight uses the "
+            "one that this process has registered"
+        )
 
 
 def _integrate(

@@ -17,6 +17,7 @@ from flock_sim.messages import topics
 from flock_sim.protocol.free_flight import GONE
 from flock_sim.recording.flight_bag import check_grants, has_stages, is_flight
 from flock_sim.recording.output_directory import Output, own_bag
+from flock_sim.recording.own_parts import BIRD, names
 from flock_sim.recording.run import Run
 
 EXCLUDED = {
@@ -62,6 +63,7 @@ def resumable(run: Path, options: argparse.Namespace) -> Iterator[Resumable]:
                 if flown.real_time_factor:
                     raise FlockError(GONE)
                 _check_flight(flown)
+                _check_birds(flown)
                 check_grants(flown.bag, flown.configuration)
                 flown.perturbations()
                 found = Resumable(
@@ -81,6 +83,12 @@ def _check_flight(run: Run) -> None:
     # Types are written first: if a bag has topics, all types are known.
     if not is_flight(run.bag) or not announced:
         raise FlockError("it is cut off or damaged at its beginning, which describes its content")
+
+
+def _check_birds(run: Run) -> None:
+    """Raise FlockError if the run has birds that `fly` can't create."""
+    if birds := names(run.own_parts, BIRD):
+        raise FlockError(f"it was flown by birds of {birds}, which are not in Flock")
 
 
 def is_whole(run: Run) -> bool:

@@ -58,6 +58,8 @@ class BirdProtocol(Listener):
         force in addition to thrust and drag.
         """
         self.bird = bird
+        self.control = control
+        """The force in addition to thrust and drag; None: there is none."""
         self.ignored_for = Counter()
         self.ignored = 0
         self._configuration = configuration

@@ -16,6 +16,7 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.recording.machine import Machine
+from flock_sim.recording.own_parts import link_model_records
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
@@ -34,12 +35,14 @@ def records(configuration: FlockConfiguration, factor: float) -> dict[str, dict[
     """Return the metadata records of a bag; `factor` is the real-time factor of a free flight.
 
     The configuration has the version of Flock that flew it. Without entries, its key `links` is
-    left out, so that such bags keep their original form.
+    left out, so that such bags keep their original form. Link models of the user's program have a
+    record each.
     """
     values: dict[str, Any] = {**configuration.parameters(), "flock_version": __version__}
     if not configuration.links:
         del values["links"]
     found = {CONFIGURATION_RECORD: {key: json.dumps(value) for key, value in values.items()}}
+    found |= link_model_records(configuration)
     return found | ({_FREE_RECORD: {_FACTOR: json.dumps(factor)}} if factor else {})
 
 

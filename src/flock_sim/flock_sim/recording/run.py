@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Self, TypeVar
 
 import numpy as np
 
+from flock_sim import __version__
 from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.perturbation import Perturbation
@@ -22,6 +25,7 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.flight_bag import (
+    CONFIGURATION_RECORD,
     recorded_configuration,
     recorded_digest,
     recorded_factor,
@@ -29,6 +33,12 @@ from flock_sim.recording.flight_bag import (
     recorded_push,
 )
 from flock_sim.recording.machine import Machine
+from flock_sim.recording.own_parts import (
+    OwnPart,
+    own_link_models,
+    recorded_parts,
+    unknown_link_models,
+)
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -51,6 +61,12 @@ class Run:
             self.configuration = recorded_configuration(self.bag)
         except (KeyError, ValueError, FlockError) as error:
             self.bag.close()
+            if unknown := self._unknown_link_models():
+                raise FlockError(
+                    f"{self.path}: its link model {', '.join(unknown)} is not in Flock "
+                    f"{__version__}, and the bag contains only the name; register the model first, "
+                    "in a Python process that calls the tool (docs/extending.md)"
+                ) from error
             torn = self.bag.missing and not self.bag.topics
             why = "it is cut off or damaged at its beginning, which describes its content"
             raise FlockError(
@@ -60,6 +76,13 @@ class Run:
             ) from error
 
         self.missing = self.bag.missing or self._cut_short()
+
+    def _unknown_link_models(self) -> list[str]:
+        """Return the recorded link models that this process lacks; none if it can't be read."""
+        with suppress(KeyError, TypeError, ValueError, FlockError):
+            links = json.loads(self.bag.metadata(CONFIGURATION_RECORD)["links"])
+            return unknown_link_models(links)
+        return []
 
     def _cut_short(self) -> str | None:
         """Return a line on a flight that ended early with a whole bag; None if it is complete."""
@@ -109,6 +132,12 @@ class Run:
     def state_digest(self) -> str | None:
         """The digest of all states that the bag holds as a record; None if it holds none."""
         return recorded_digest(self.bag)
+
+    @property
+    def own_parts(self) -> list[OwnPart]:
+        """The parts of the flight that are not in Flock, and of which the bag has only names."""
+        recorded = recorded_parts(self.bag.records)
+        return list(dict.fromkeys([*recorded, *own_link_models(self.configuration)]))
 
     @property
     def machines(self) -> list[Machine]:

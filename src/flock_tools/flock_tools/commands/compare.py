@@ -54,6 +54,7 @@ def tool(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     tolerance = None if options.tolerance is None else _tolerance(options.tolerance)
 
+    from flock_sim.recording.own_parts import lacking
     from flock_sim.recording.run import Run
     from flock_tools.runs.comparison import compare
 
@@ -63,6 +64,8 @@ def tool(arguments: Sequence[str]) -> int:
                 note(f"note: {run.missing}; its intact part is compared")
             if run.real_time_factor:
                 note(f"note: {run.path} was flown freely: no other flight is equal to it")
+            if run.own_parts:
+                note(f"note: {run.path} was {lacking(run.own_parts)}")
         with _progress(first) as show:
             result = compare(first, second, tolerance, show)
         if options.json:

@@ -38,21 +38,25 @@ def tool(arguments: Sequence[str]) -> int:
 
     from flock_sim.analysis.summary import summary
     from flock_sim.recording.message_age import freshness
+    from flock_sim.recording.own_parts import BIRD, lacking, names
     from flock_sim.recording.run import Run
 
     with Run(options.run) as run:
         if run.missing:
             note(f"note: {run.missing}; its intact part is used")
+        if run.own_parts:
+            note(f"note: {run.path} was {lacking(run.own_parts)}")
         metrics, fresh = run.metrics(time), freshness(run)
-        off = _deviation(run) if fresh else None
-        digest = run.state_digest
+        own, digest = run.own_parts, run.state_digest
+        off = _deviation(run) if fresh and not names(own, BIRD) else None
     if options.json:
-        free = {**fresh.as_json(), "deviation": off.as_json()} if fresh and off else {}
-        print_json({**metrics.as_json(), **free, "state_digest": digest})
+        free = fresh.as_json() | {"deviation": off and off.as_json()} if fresh else {}
+        parts = {"own_parts": [str(part) for part in own]}
+        print_json({**metrics.as_json(), **free, "state_digest": digest, **parts})
         return 0
     print(summary(metrics))
-    if fresh and off:
-        print("\n".join([*fresh.told(), *off.told()]))
+    if fresh:
+        print("\n".join([*fresh.told(), *(off.told() if off else [])]))
     return 0
 
 

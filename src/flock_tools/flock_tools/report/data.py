@@ -18,6 +18,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.scaling import Scales, drag_reduction
 from flock_sim.recording.flight_bag import CONFIGURATION_RECORD
+from flock_sim.recording.own_parts import BIRD, OwnPart, names
 from flock_sim.recording.run import Run
 from flock_sim.theory import nearest
 from flock_tools.report.decimation import bucket_width, ends, extremes, frame_rows
@@ -122,6 +123,8 @@ class Reported:
     theory: Theory
     pushes: list[str]
     """The perturbations that were requested in flight."""
+    own_parts: list[OwnPart]
+    """The parts of the flight that are not in Flock."""
     flock_version: str
     state_digest: str | None
     """The digest of all states; None for a bag without one."""
@@ -145,8 +148,9 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
         missing=run.missing,
         metrics=metrics,
         history=history(run, metrics.steps, members, room.buckets, show),
-        theory=theory(run.configuration, metrics),
+        theory=theory(run, metrics),
         pushes=[str(push) for push in run.perturbations()],
+        own_parts=run.own_parts,
         flock_version=str(json.loads(record.get("flock_version", '"not recorded"'))),
         state_digest=run.state_digest,
         machines=[machine.told() for machine in run.machines],
@@ -220,8 +224,9 @@ def _parts(configuration: FlockConfiguration, rows: int, width: int) -> Iterator
         yield first, min(first + part, rows)
 
 
-def theory(configuration: FlockConfiguration, metrics: Metrics) -> Theory:
+def theory(run: Run, metrics: Metrics) -> Theory:
     """Return the steady states of a flock's members, and the linear law if it applies."""
+    configuration = run.configuration
     flock = Flock.of(configuration)
     linear = np.full((flock.birds - 1, flock.members), np.nan)
     applies = [error is not None for error in metrics.profile_error]
@@ -237,6 +242,8 @@ def theory(configuration: FlockConfiguration, metrics: Metrics) -> Theory:
     note = ""
     if not configuration.link_table.plain:
         note = "The theory assumes links that are exact. The links of this run are not."
+    if birds := names(run.own_parts, BIRD):
+        note = f"{note} The theory assumes birds of Flock's. This run has birds of {birds}.".strip()
     return Theory(assessment, note, linear)
 
 

@@ -21,6 +21,7 @@ from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.recording.own_parts import BIRD, LINK_MODEL, lacking, names
 from flock_tools.figures.bird_outline import OUTLINE
 from flock_tools.report.data import Reported
 from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, rows, verdict
@@ -46,7 +47,7 @@ def page(runs: Sequence[Reported]) -> bytes:
         verdicts=[verdict(run, len(runs) > 1) for run in runs],
         units=_units(runs),
         cards=cards(runs[0]) if len(runs) == runs[0].metrics.members == 1 else [],
-        warnings=[run.missing for run in runs if run.missing],
+        warnings=[line for run in runs for line in (run.missing, _lacking(run)) if line],
         columns=COLUMNS,
         rows=rows(runs),
         remarks=_remarks(runs),
@@ -183,14 +184,17 @@ def _value(value: object) -> str:
     return str(value)
 
 
+def _lacking(run: Reported) -> str:
+    """Return one line on the parts of a flight that its bag lacks; empty if it has all."""
+    return f"{run.name} was {lacking(run.own_parts)}." if run.own_parts else ""
+
+
 def _provenance(run: Reported) -> list[tuple[str, str]]:
-    again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
-    if run.factor:
-        again = f"a free flight can't be repeated; the same flock in lockstep: {again}"
     return [
         ("flown by", f"Flock {run.flock_version}"),
-        ("command", f"{command(run)} (flies the same flock; the original command is not recorded)"),
-        ("repeat bit for bit", again),
+        ("own parts", ", ".join(map(str, run.own_parts)) or "none"),
+        ("command", f"{command(run)} ({_flies(run)}; the original command is not recorded)"),
+        ("repeat bit for bit", _repeat(run)),
         ("recorded on", "; then ".join(run.machines) or "not recorded"),
         ("digest of the states", run.state_digest or "not recorded"),
         *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
@@ -198,6 +202,28 @@ def _provenance(run: Reported) -> list[tuple[str, str]]:
         ("perturbations in flight", "; ".join(run.pushes) or "none"),
         ("complete", run.missing or "yes"),
     ]
+
+
+def _flies(run: Reported) -> str:
+    """Return what the command of `run` flies, in words."""
+    if names(run.own_parts, BIRD):
+        return "flies the same flock with birds of Flock's, and not the same flight"
+    if models := names(run.own_parts, LINK_MODEL):
+        return f"needs the link model {models}, which is not in Flock"
+    without = " without the perturbations in flight" if run.pushes else ""
+    return f"flies the same flock{without}"
+
+
+def _repeat(run: Reported) -> str:
+    """Return how to repeat a flight bit for bit, or why this is not possible."""
+    if birds := names(run.own_parts, BIRD):
+        return f"not possible from the bag: birds of {birds} are not in Flock"
+    again = f"./flock reference --repeat {shlex.quote(run.name)} --output again"
+    if models := names(run.own_parts, LINK_MODEL):
+        again = f"in a Python process that has registered the link model {models}: {again[8:]}"
+    if run.factor:
+        return f"a free flight can't be repeated; the same flock in lockstep: {again}"
+    return again
 
 
 def command(run: Reported) -> str:

@@ -151,4 +151,6 @@ def _attributes(run: Run) -> dict[str, Any]:
     attributes["second"] = configuration.second
     if run.missing:
         attributes["missing"] = run.missing
+    if run.own_parts:
+        attributes["own_parts"] = ", ".join(map(str, run.own_parts))
     return attributes

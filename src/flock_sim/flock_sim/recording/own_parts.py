@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parts of a flight that are not in Flock: link models and birds of the user's own program.
+
+A bag contains their names only, so a flight with such parts is not determined by its bag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from flock_sim.bag.writing.writer import BagWriter
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.links.registry import BUILT_IN, MODELS
+from flock_sim.links.settings import parted
+
+LINK_MODEL, BIRD = "link model", "bird"
+"""The kinds of own parts."""
+
+_RECORDS = {LINK_MODEL: "own_link_model_{}", BIRD: "own_bird_{}"}
+"""The metadata records of the first, second, ... part of each kind."""
+
+_NOTE = "This part was flown, but Flock does not contain it, and this bag has only its name."
+
+
+@dataclass(frozen=True)
+class OwnPart:
+    """A link model, or the class of birds (or of their protocol or control), by its name."""
+
+    kind: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
+def own_link_models(configuration: FlockConfiguration) -> list[OwnPart]:
+    """Return the link models in `configuration` that this process has registered."""
+    own = {model.name for model in MODELS[BUILT_IN:]}
+    named = dict.fromkeys(parted(entry)[1] for entry in configuration.links)
+    return [OwnPart(LINK_MODEL, name) for name in named if name in own]
+
+
+def unknown_link_models(links: Iterable[str]) -> list[str]:
+    """Return the names of the link models in `links` that this process does not have."""
+    known = {model.name for model in MODELS}
+    return [
+        name for name in dict.fromkeys(parted(entry)[1] for entry in links) if name not in known
+    ]
+
+
+def link_model_records(configuration: FlockConfiguration) -> dict[str, dict[str, str]]:
+    """Return the metadata records of the link models that this process has registered."""
+    return _records(own_link_models(configuration), 1)
+
+
+def add_birds(bag: BagWriter, parts: Iterable[OwnPart]) -> None:
+    """Write the records of those birds in `parts` that `bag` lacks. The flight's head has the rest.
+
+    Raises RunFailed on a full disk.
+    """
+    known = recorded_parts(bag.metadata)
+    new = [part for part in dict.fromkeys(parts) if part.kind == BIRD and part not in known]
+    first = 1 + sum(part.kind == BIRD for part in known)
+    for name, record in _records(new, first).items():
+        bag.add_metadata(name, record)
+
+
+def recorded_parts(records: Mapping[str, Mapping[str, str]]) -> list[OwnPart]:
+    """Return the own parts in the metadata records of a bag."""
+    found: list[OwnPart] = []
+    for kind, name in _RECORDS.items():
+        number = 1
+        while (record := records.get(name.format(number))) is not None:
+            found.append(OwnPart(kind, record.get("name", "?")))
+            number += 1
+    return found
+
+
+def _records(parts: Sequence[OwnPart], first: int) -> dict[str, dict[str, str]]:
+    """Return the metadata records of `parts` of one kind, numbered from `first`."""
+    return {
+        _RECORDS[part.kind].format(number): {"name": part.name, "note": _NOTE}
+        for number, part in enumerate(parts, first)
+    }
+
+
+def names(parts: Sequence[OwnPart], kind: str) -> str:
+    """Return the names of the parts of a kind, as text; empty without such parts."""
+    return ", ".join(part.name for part in parts if part.kind == kind)
+
+
+def lacking(parts: Sequence[OwnPart]) -> str:
+    """Return one line on what the bag of a flight with these parts lacks; empty without parts."""
+    if not parts:
+        return ""
+    listed = ", ".join(map(str, parts))
+    return f"flown with {listed}: not a part of Flock, and the bag contains only the name"
