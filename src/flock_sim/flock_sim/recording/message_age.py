@@ -47,7 +47,7 @@ class MessageAge:
     age: Spread | None
     """The ages of all links, in s of real time; None if no bird has a neighbour."""
     behind: Spread | None
-    """Number of steps by which the used states lag the steps in which they were used."""
+    """Number of steps by which the used states lag the recorded steps in which they were used."""
     taken: int
     """Number of steps that all birds took, up to the last recorded one."""
     late: list[int]
@@ -84,7 +84,7 @@ class MessageAge:
                 f"  in real time         median {1e3 * self.age.median:.3g}, 95 % below "
                 f"{1e3 * self.age.p95:.3g}, at most {1e3 * self.age.max:.3g} ms",
                 f"  steps behind         median {behind.median:g}, 95 % at most {behind.p95:g}, "
-                f"at most {behind.max:g}",
+                f"at most {behind.max:g}; at recorded steps",
             ]
         lines.append(
             f"  late steps           {sum(self.late)} of {self.taken}, by "
@@ -96,7 +96,8 @@ class MessageAge:
 def freshness(run: Run) -> MessageAge | None:
     """Return the ages of the used messages in `run`; None if it was not flown freely.
 
-    The largest age is that of all steps; the distribution is that of the recorded steps.
+    The largest age is that of all steps. The distribution, and all numbers of steps behind, are
+    those of the recorded steps.
     """
     factor, flown = run.real_time_factor, run.configuration
     if not factor:
