@@ -25,12 +25,10 @@ from flock_sim.messages import topics
 from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.bird_process import create_birds, fly_together
 from flock_sim.nodes.clock import ClockNode, keep_time
-from flock_sim.nodes.own_birds import own_birds
 from flock_sim.nodes.recorder import RecorderNode, record
 from flock_sim.protocol.clock import Timekeeper, new_run_id
 from flock_sim.recording.flight_writer import Recording, recording
 from flock_sim.recording.output_directory import own_output
-from flock_sim.recording.own_parts import add_birds
 from flock_sim.ros.discovery import (
     DOMAIN,
     ELSEWHERE,
@@ -144,7 +142,6 @@ def _fly(
         of_recorder.add_node(recorder)
         indices = range(1, configuration.birds + 1)
         birds = create_birds(indices, configuration, run_id, of_birds, kind=bird)
-        add_birds(run.bag, own_birds(birds))
 
         def watchdog() -> Watchdog:
             return Watchdog(timeout + NODE_MARGIN, lambda line: None)

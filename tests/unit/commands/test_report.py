@@ -25,6 +25,7 @@ from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import add_flock_options, flock_configuration
 from flock_sim.console.arguments import Parser
+from flock_sim.messages.types import Push
 from flock_sim.recording import flight_bag, flight_writer
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.machine import this_machine
@@ -345,6 +346,17 @@ def test_what_the_page_gives_for_the_command_line_flies_the_same(
     parser = Parser("fly", "", "")
     add_flock_options(parser)
     assert flock_configuration(parser.parse_args(words)) == flown
+
+
+def test_the_command_does_not_claim_to_push_as_in_flight(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=2, t_max=20.0)
+    with recording(tmp_path / "run", flown, grants=True) as run:
+        run.write_perturbation(Push(0, 10, 0.1, 0.0, number=1, bird=2, member=1))
+        for row in flown_rows(flown):
+            run.write_row(row)
+    page = reported(tmp_path / "run", output=tmp_path / "a.html")
+    assert "(flies the same flock without the perturbations in flight;" in page.text
+    assert "reference --repeat" in page.text
 
 
 def test_the_report_lies_beside_the_bag_which_can_be_flown_over(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,16 @@ import pytest
 
 from flock_sim.commands.reference import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import run_tool
 from flock_sim.messages.types import Ages
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.message_age import deviation, freshness
+from flock_sim.recording.own_parts import BIRD, OwnPart, add_birds
 from flock_sim.recording.run import Run
 from flock_sim.reference.integrator import Reference
+from flock_tools.commands import metrics
 from support.flights import record
+from support.tool_runs import text_of
 
 FLOWN = FlockConfiguration(birds=3, t_max=100.0, record_every=1, span_ratios=("1=1,1.01",))
 NEIGHBOURS = {1: 1, 2: 2, 3: 1}
@@ -32,7 +37,13 @@ def ages(bird: int, step: int) -> bytes:
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     """A flight in which bird 2 was elsewhere at step 50, and faster at the end, in member 2."""
-    with recording(tmp_path / "bag", FLOWN, grants=True, factor=4.0) as run:
+    return flown_freely(tmp_path / "bag")
+
+
+def flown_freely(path: Path, *own_birds: OwnPart) -> Path:
+    """Record the flight of `bag`; the bag names `own_birds`."""
+    with recording(path, FLOWN, grants=True, factor=4.0) as run:
+        add_birds(run.bag, own_birds)
         for recorded in Reference(FLOWN).fly():
             if recorded.step == 50:
                 recorded.position[1, 1] += 0.5
@@ -40,7 +51,7 @@ def bag(tmp_path: Path) -> Path:
                 recorded.speed[1, 1] += 0.25
             told = [ages(bird, recorded.step) for bird in NEIGHBOURS]
             run.write_row(replace(row(FLOWN, recorded), ages=told))
-    return tmp_path / "bag"
+    return path
 
 
 def test_ages_are_told_in_seconds_and_in_the_flight_s_own_unit(bag: Path) -> None:
@@ -65,6 +76,20 @@ def test_the_deviation_is_that_from_the_lockstep_flight(bag: Path) -> None:
     assert off["position"] == {"end": [0.0, 0.0], "max": [0.0, pytest.approx(0.5, rel=1e-12)]}
     assert off["spacing"] == {"end": [0.0, 0.0], "max": [0.0, pytest.approx(0.5, rel=1e-12)]}
     assert off["speed"]["end"] == off["speed"]["max"] == [0.0, pytest.approx(0.25, rel=1e-12)]
+
+
+def test_own_birds_have_no_deviation_because_their_flight_in_lockstep_is_not_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = flown_freely(tmp_path / "bag", OwnPart(BIRD, "Keeper"))
+    assert run_tool(metrics.tool, [str(flown), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["deviation"] is None
+    assert told["own_parts"] == ["bird Keeper"]
+    assert told["late_steps"] == [10, 10, 10]
+    text = text_of(metrics.tool, capsys, str(flown))
+    assert "at most 1; at recorded steps" in text
+    assert "lockstep" not in text
 
 
 def test_a_flight_in_lockstep_has_no_ages(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import MALFORMED
+from flock_sim.nodes.own_birds import announce, own_name
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.session import Channel, Outgoing
@@ -78,6 +79,8 @@ class BirdNode(DrainedNode):
             bird, configuration, run_id, new_incarnation(), self.control
         )
         """The state machine of this bird."""
+        if own := own_name(self, self.protocol, self.protocol.control):
+            announce(self, own)
         self._exchange: CompiledExchange | None = None
         outlets = outlets or _outlets(bird, configuration)
         fetched = [topic for channel, (_, topic) in outlets.items() if channel in FETCHED]

@@ -1,33 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Birds of the user's own program among the birds of a process."""
+"""Birds of the user's own program: a recorder, in any process, learns that they fly.
+
+A node whose class, protocol or control is not Flock's creates a publisher on a topic whose name
+ends with the name of that class or control. The topic has no messages. The node creates it before
+its other topics, so a recorder that has discovered these has discovered it, too. A player does the
+same for the own birds that are named in the bag.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
 
-from flock_sim.nodes.bird import BirdNode
-from flock_sim.nodes.free_bird import FreeBirdNode
-from flock_sim.protocol.bird import BirdProtocol
-from flock_sim.protocol.free_bird import FreeBird
+from rclpy.node import Node
+
+from flock_interfaces.msg import BirdWing
+from flock_sim.messages.topics import NAMESPACE
 from flock_sim.recording.own_parts import BIRD, OwnPart
+from flock_sim.ros.endpoints import latched
+
+_PREFIX = f"{NAMESPACE}/own/"
+
+_LONGEST = 100  # characters of a name: the length of a topic's name is limited
 
 
-def own_birds(birds: Iterable[BirdNode]) -> list[OwnPart]:
-    """Return the classes of `birds` that are not Flock's, each once.
+def own_name(node: object, protocol: object, control: object) -> str:
+    """Return the name of the class of a bird's node or protocol, or of its control, if not Flock's.
 
-    For a node of Flock's with an own protocol or control, this is the name of the protocol's class
-    or of the control.
+    It is empty if all of them are Flock's; Flock itself has no control.
     """
-    named = (own_name(bird) for bird in birds)
-    return [OwnPart(BIRD, name) for name in dict.fromkeys(named) if name]
-
-
-def own_name(bird: BirdNode) -> str:
-    """Return the name of the own part of `bird`; empty if all of it is Flock's."""
-    protocol = bird.protocol
-    if type(bird) not in (BirdNode, FreeBirdNode):
-        return type(bird).__name__
-    if type(protocol) not in (BirdProtocol, FreeBird):
-        return type(protocol).__name__
-    control = protocol.control if isinstance(protocol, BirdProtocol) else None
+    for part in (node, protocol):
+        if not type(part).__module__.startswith("flock_sim."):
+            return type(part).__name__
     return getattr(control, "__name__", type(control).__name__) if control else ""
+
+
+def announce(node: Node, name: str) -> None:
+    """Tell all recorders that birds of the own class or control `name` fly, as `node`.
+
+    A topic's name can't have all characters: those of other alphabets become underscores.
+    """
+    token = re.sub(r"\W|^(?=\d|$)", "_", name, flags=re.ASCII)[:_LONGEST]
+    node.create_publisher(BirdWing, f"{_PREFIX}{token}", latched(1))
+
+
+def announced(node: Node) -> list[OwnPart]:
+    """Return the own birds that `node` has discovered."""
+    names = sorted(name for name, _ in node.get_topic_names_and_types())
+    found = [name for name in names if name.startswith(_PREFIX) and node.count_publishers(name)]
+    return [OwnPart(BIRD, name.removeprefix(_PREFIX)) for name in found]

@@ -25,8 +25,10 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import NEVER
 from flock_sim.messages.handshake import check_handshake
+from flock_sim.nodes.own_birds import announced
 from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, recording
+from flock_sim.recording.own_parts import add_birds
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.endpoints import DrainedNode
 from flock_sim.ros.process import Process, executing
@@ -168,11 +170,12 @@ def record_played(process: Process, output: Path, replace: bool) -> None:
         executor.add_node(node)
         process.settle()
         while not process.stop and not node.assembler.complete:
+            if not connected and node.connected:
+                connected = True
+                add_birds(run.bag, announced(node))
+                note("the topics of all birds and /clock are found")
             if node.drain():
                 watchdog.reset()
                 continue
             executor.spin_once(timeout_sec=WAIT)
-            if node.connected and not connected:
-                connected = True
-                note("the topics of all birds and /clock are found")
             watchdog.wait(lambda: f"the recorder waits for {node.waiting_for}")

@@ -20,10 +20,12 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import NEVER, in_order, out_of_date
 from flock_sim.messages.rejection import FOREIGN, MALFORMED, STALE
+from flock_sim.nodes.own_birds import announced
 from flock_sim.nodes.requested_pushes import RequestedPushes
 from flock_sim.nodes.row_topics import RowTopics
 from flock_sim.protocol.session import Session
 from flock_sim.recording.flight_writer import Recording
+from flock_sim.recording.own_parts import add_birds
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import DrainedNode, latched
@@ -236,10 +238,16 @@ class RecorderNode(DrainedNode):
         if self.assembler.complete or self._row_topics.found_all():
             self._joined = self._session.flying = True
             self._row_topics.look_at_all()
+            self._name_own_birds()
             if self._pushes.write(self._wanted):
                 self._save()
             self._checkpoint.publish(self._where().encode())
             self._tell(self._run.saved)
+
+    def _name_own_birds(self) -> None:
+        """Write the names of the birds that are not Flock's into the bag."""
+        if not self._run.closed:
+            add_birds(self._run.bag, announced(self))
 
     def _where(self) -> messages.Checkpoint:
         """Return the checkpoint of this epoch: the last row on disk."""

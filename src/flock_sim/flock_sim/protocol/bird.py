@@ -59,7 +59,6 @@ class BirdProtocol(Listener):
         """
         self.bird = bird
         self.control = control
-        """The force in addition to thrust and drag; None: there is none."""
         self.ignored_for = Counter()
         self.ignored = 0
         self._configuration = configuration

@@ -14,6 +14,7 @@ from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Grant, Progress, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.stage_kernels import fill_interactions, interaction_array
+from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.session import Channel, Outgoing, Session
 
 EARLY = 16
@@ -97,6 +98,8 @@ class Listener:
     _end: int
     bird: int
     """Its number, from 1."""
+    control: Control | None = None
+    """A force in addition to thrust and drag; None: there is none."""
     ignored: int
     """Number of ignored messages."""
     ignored_for: Counter[str]

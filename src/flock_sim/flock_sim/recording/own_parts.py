@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.links.registry import BUILT_IN, MODELS
 from flock_sim.links.settings import parted
+
+if TYPE_CHECKING:
+    from flock_sim.bag.writing.writer import BagWriter
 
 LINK_MODEL, BIRD = "link model", "bird"
 """The kinds of own parts."""
@@ -55,7 +58,7 @@ def link_model_records(configuration: FlockConfiguration) -> dict[str, dict[str,
 
 
 def add_birds(bag: BagWriter, parts: Iterable[OwnPart]) -> None:
-    """Write the records of those birds in `parts` that `bag` lacks. The flight's head has the rest.
+    """Write the records of those birds in `parts` that `bag` lacks. Link models are in its head.
 
     Raises RunFailed on a full disk.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotServed
 from contextlib import suppress
@@ -21,6 +21,7 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from flock_sim.console.signals import Stop
 from flock_sim.messages import topics
 from flock_sim.messages.cdr import ENCAPSULATION
+from flock_sim.nodes.own_birds import announce
 from flock_sim.ros.endpoints import wait_until_heard
 from flock_tools.playback.loop import NotPublishable, Playback
 from flock_tools.playback.topics import Playable
@@ -51,8 +52,10 @@ SERVED_WITHIN = 10.0
 class Player(Node):
     """Publishes recorded bytes, and serves `~/pause ~/resume ~/seek` and the like."""
 
-    def __init__(self, playable: Mapping[str, Playable], context: Context) -> None:
-        """Create the publishers of `playable`."""
+    def __init__(
+        self, playable: Mapping[str, Playable], context: Context, own_birds: Sequence[str] = ()
+    ) -> None:
+        """Create the publishers of `playable`; `own_birds` are names in the bag, for recorders."""
         super().__init__(
             "player",
             namespace=topics.NAMESPACE,
@@ -60,6 +63,8 @@ class Player(Node):
             start_parameter_services=False,
             enable_rosout=False,
         )
+        for name in own_birds:
+            announce(self, name)
         self._outlets: dict[str, Publisher] = {
             name: self.create_publisher(topic.type, name, topic.qos)
             for name, topic in playable.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import gc
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -21,6 +21,7 @@ from flock_sim.console.progress import playback_bar
 from flock_sim.console.signals import Stop
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
+from flock_sim.recording.own_parts import BIRD, recorded_parts
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.process import executing, ros_context
 from flock_sim.ros.settings_check import check_settings
@@ -56,7 +57,8 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
         note(f"note: {line}")
     span, start = (extract.first, extract.last), extract.start
     schedule = Schedule(span[0] + start, rate, paused=options.paused)
-    with results_only_on_stdout(), _player(selection) as (player, spin):
+    own_birds = [part.name for part in recorded_parts(bag.records) if part.kind == BIRD]
+    with results_only_on_stdout(), _player(selection, own_birds) as (player, spin):
         playback = Playback(
             lambda at: _renamed(bag.by_time(selection.streams, at, extract.end)),
             player.say_when_heard if rate == 0.0 else player.say,
@@ -174,12 +176,14 @@ def _long_wait(left: float, since: int) -> str:
 
 
 @contextmanager
-def _player(selection: Selection) -> Iterator[tuple[Player, Callable[[], None]]]:
+def _player(
+    selection: Selection, own_birds: Sequence[str]
+) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and a function that starts to serve its services in another thread."""
     context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     try:
         with executing("single", context) as executor:
-            player = Player(selection.topics, context)
+            player = Player(selection.topics, context, own_birds)
             executor.add_node(player)
             check_settings(context.get_domain_id())
             thread = Thread(target=executor.spin, daemon=True)
