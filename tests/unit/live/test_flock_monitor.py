@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -26,8 +28,8 @@ def state(bird: int, step: int, run: int = 0) -> bytes:
     return State.at(FLOCK, step, *values(step)[:, bird - 1], run_id=run).encode()
 
 
-def grant(run: int) -> bytes:
-    return Grant(run, 0, 100, 1.0, 1, handshake(FLOCK)).encode()
+def grant(run: int, flock: FlockConfiguration = FLOCK, factor: float = 0.0) -> bytes:
+    return Grant(run, 0, flock.steps, flock.dt, 1, handshake(flock, factor)).encode()
 
 
 class Observer:
@@ -62,6 +64,32 @@ def test_the_sample_is_what_metrics_say_of_the_step() -> None:
         assert sample.hears == [[2], [1, 3], [2]]
     with pytest.raises(FlockError, match=r"--member 3: must be in 1\.\.2"):
         observer.view.sample({1}, 3)
+
+
+@pytest.mark.parametrize("run", [0, 7])  # played, flown
+@pytest.mark.parametrize("factor", [0.0, 2.0])
+def test_a_free_flight_is_shown_with_all_that_its_clock_tells(factor: float, run: int) -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(7, factor=factor))
+    observer.hear(1, 2, 3, step=20, run=run)
+    sample = observer.view.sample({1}, 1)
+    assert sample is not None
+    assert (sample.coupling, sample.end, sample.real_time_factor) == ("nearest", 100, factor)
+    expected = measure(FLOCK, FlockState(20, 20.0, *values(20)))
+    assert sample.drag_reduction == expected.drag_reduction[0].tolist()
+
+
+def test_a_configuration_that_cannot_be_read_is_not_passed_over_in_silence() -> None:
+    observer = Observer()
+    terms = json.dumps({**FLOCK.parameters(), "wind": 1.0})
+    observer.view.hear_grant(Grant(7, 0, 100, 1.0, 1, terms).encode())
+    observer.hear(1, 2, 3, step=20, run=7)
+    sample = observer.view.sample({1, 2, 3}, 1)
+    assert sample is not None
+    assert sample.coupling is None
+    assert "unknown parameter 'wind'" in observer.view.unreadable
+    observer.view.hear_grant(grant(7))
+    assert observer.view.unreadable == ""
 
 
 def test_only_steps_of_which_all_was_heard_are_shown() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
+from typing import Any
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
@@ -19,6 +21,20 @@ def handshake(configuration: FlockConfiguration, factor: float = 0.0) -> str:
     if factor:
         flown["real_time_factor"] = factor
     return json.dumps(flown, separators=(",", ":"))
+
+
+def read_handshake(said: str) -> tuple[FlockConfiguration, float]:
+    """Return the configuration in a clock's terms, and the real-time factor; 0 in lockstep.
+
+    Raises FlockError if this version of Flock can't fly the configuration. Raises ValueError if
+    `said` is not the text of terms.
+    """
+    flown = _object(said)
+    factor = flown.pop("real_time_factor", 0.0)
+    number = isinstance(factor, int | float) and not isinstance(factor, bool)
+    if not number or not 0.0 <= factor <= sys.float_info.max:
+        raise ValueError(f"terms: the real-time factor {_shown(factor)} is not a positive number")
+    return FlockConfiguration.from_parameters(flown), float(factor)
 
 
 def run_id_of(configuration: FlockConfiguration) -> int:
@@ -42,12 +58,7 @@ def check_handshake(
     expected = handshake(configuration, factor)
     if said == expected:
         return
-    try:
-        theirs = json.loads(said)
-    except RecursionError:
-        raise ValueError("terms: too deep") from None
-    if not isinstance(theirs, dict):
-        raise ValueError("terms: not an object")
+    theirs = _object(said)
     ours = json.loads(expected)
     different = [
         f"{key} = {_shown(ours.get(key))} where the clock has {_shown(theirs.get(key))}"
@@ -57,6 +68,17 @@ def check_handshake(
     if not different:
         return
     raise FlockError(f"{who} has {', '.join(different)}: give both the same configuration")
+
+
+def _object(said: str) -> dict[str, Any]:
+    """Return the JSON object that `said` is. Raises ValueError if it is none."""
+    try:
+        found = json.loads(said)
+    except RecursionError:
+        raise ValueError("terms: too deep") from None
+    if not isinstance(found, dict):
+        raise ValueError("terms: not an object")
+    return found
 
 
 def _shown(value: object) -> str:

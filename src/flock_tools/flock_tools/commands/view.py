@@ -216,7 +216,8 @@ def _publish(
         if sample is None:
             return
         if not viewer.tells_flown:
-            note("note: no clock sends the configuration; SI units and drag saved follow --config")
+            why = _assumed(viewer.view.unreadable)
+            note(f"note: {why}; SI units and drag saved follow --config")
         note(
             f"showing {sample.birds} birds, member {sample.member} of {sample.members}, on "
             f"{MARKERS_TOPIC}, ROS domain {os.environ.get(DOMAIN) or 0}; Ctrl-C ends it"
@@ -228,6 +229,13 @@ def _publish(
             until = time.monotonic() + period(rate)
             while not stop and (left := until - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=left)
+
+
+def _assumed(unreadable: str) -> str:
+    """Return why the configuration is assumed; `unreadable` is why the clock's can't be read."""
+    if unreadable:
+        return f"the configuration that the clock sends can't be read ({unreadable})"
+    return "no clock sends the configuration"
 
 
 def _refusals() -> Callable[[str], None]:

@@ -36,11 +36,13 @@ EXAMPLES = """\
   ./flock watch --json | jq .speed          one sample, as JSON"""
 
 
-def table(sample: Sample) -> Table:
-    """Return the table of a flock."""
+def table(sample: Sample, unreadable: str = "") -> Table:
+    """Return the table of a flock. `unreadable`: why the clock's configuration can't be read."""
     from rich.table import Table
 
     title = f"{sample.birds} birds" + (f", {sample.coupling} coupling" if sample.coupling else "")
+    if sample.real_time_factor:
+        title += f", flown freely at real-time factor {sample.real_time_factor:g}"
     if sample.members > 1:
         title += f", member {sample.member} of {sample.members}"
     end = "" if sample.end is None else f" of {sample.end}"
@@ -65,7 +67,10 @@ def table(sample: Sample) -> Table:
     for cells in zip(*shown.values(), strict=True):
         drawn.add_row(*cells)
     if not known:
-        drawn.caption = "no clock has sent the configuration: drag is in ρ b² U_min²"
+        why = "no clock has sent the configuration"
+        if unreadable:
+            why = f"the configuration that the clock has sent can't be read ({unreadable})"
+        drawn.caption = f"{why}: drag is in ρ b² U_min²"
     return drawn
 
 
@@ -106,7 +111,7 @@ def tool(arguments: Sequence[str]) -> int:
     elif sample is not None and once:
         from rich.console import Console
 
-        Console().print(table(sample))
+        Console().print(table(sample, watcher.view.unreadable))
     return stop.exit_status
 
 
@@ -122,7 +127,7 @@ def _show(
     with Live(console=Console(stderr=True), auto_refresh=False) as live:
         while not stop:
             if sample is not None:
-                live.update(table(sample), refresh=True)
+                live.update(table(sample, watcher.view.unreadable), refresh=True)
             until = time.monotonic() + REFRESH
             while not stop and (left := until - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=left)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from flock_sim.analysis.metrics import plain
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages.handshake import read_handshake
 from flock_sim.messages.types import ARRAYS, Grant, State
 from flock_sim.physics import formation
 from flock_sim.physics.flock_state import FlockState
@@ -31,7 +31,8 @@ RATE_OVER = 2.0
 class Sample:
     """One member of a flock at one step; lists from bird 1 to N, dimensionless.
 
-    `drag_reduction`, `hears`, `coupling` and `end` are None until a grant is received.
+    `drag_reduction`, `hears`, `coupling`, `end` and `real_time_factor` are None until a grant is
+    received.
     """
 
     birds: int
@@ -44,6 +45,8 @@ class Sample:
     end: int | None
     """The last step of the flight."""
     coupling: str | None
+    real_time_factor: float | None
+    """That of a free flight; 0 for a flight in lockstep."""
     rate: float | None
     """Steps per second; None until two steps are received."""
     position: list[float]
@@ -69,17 +72,27 @@ class View:
         self._now = now
         self._grant: Grant | None = None
         self._configuration: FlockConfiguration | None = None
+        self._factor = 0.0
+        self.unreadable = ""
+        """Why the configuration in the last grant can't be read; empty if it can be."""
         self._shown: dict[int, State] = {}
         self._forget(0)
 
     def hear_grant(self, data: bytes) -> None:
-        """Take a grant of a clock, which has the configuration. Invalid grants are ignored."""
+        """Take a grant of a clock, which has the configuration. Invalid grants are ignored.
+
+        A grant whose configuration this version of Flock can't read is not: see `unreadable`.
+        """
         try:
             grant = Grant.decode(data)
             if self._grant is None or grant.terms != self._grant.terms:
-                self._configuration = FlockConfiguration.from_parameters(json.loads(grant.terms))
-        except (ValueError, TypeError, AttributeError, RecursionError, FlockError):
+                self._configuration, self._factor = read_handshake(grant.terms)
+        except FlockError as error:
+            self._configuration, self.unreadable = None, str(error)
+        except (ValueError, TypeError, AttributeError):
             return
+        else:
+            self.unreadable = ""
         self._grant = grant
 
     def hear_state(self, bird: int, data: bytes) -> None:
@@ -160,6 +173,7 @@ class View:
             time=state.time,
             end=self._grant.end if flown and self._grant else None,
             coupling=flown.coupling if flown else None,
+            real_time_factor=self._factor if flown else None,
             rate=self._rate(now),
             position=state.from_leader.tolist(),
             speed=state.speed.tolist(),
