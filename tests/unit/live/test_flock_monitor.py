@@ -12,11 +12,13 @@ from flock_sim.analysis.metrics import measure
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.handshake import handshake
-from flock_sim.messages.types import Grant, State
+from flock_sim.messages.types import Grant, State, Wing
 from flock_sim.physics.flock_state import FlockState
 from flock_tools.live.flock_monitor import SILENT, View
 
 FLOCK = FlockConfiguration(birds=3, span_ratios=("1=0.9,1.0",), t_max=100.0)
+
+OTHER = FlockConfiguration(birds=5, coupling="all", t_max=50.0)
 
 
 def values(step: int) -> np.ndarray:
@@ -182,6 +184,75 @@ def test_another_run_is_watched_once_the_first_is_silent() -> None:
     observer.time += SILENT
     observer.hear(1, 2, 3, step=20, run=2)
     assert observer.step() == 20
+
+
+def test_two_flights_at_once_do_not_hide_each_other() -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(1))
+    observer.hear(1, 2, 3, step=10, run=1)
+    for step in (20, 30, 40):
+        observer.view.hear_grant(grant(2, OTHER))
+        for bird in range(1, 6):
+            observer.view.hear_state(bird, state(1 + bird % 3, step, run=2))
+        observer.hear(1, 2, 3, step=step, run=1)
+        sample = observer.view.sample(range(1, 6), 1)
+        assert sample is not None
+        assert (sample.birds, sample.step, sample.coupling) == (3, step, "nearest")
+        observer.view.hear_grant(grant(1))
+
+
+def test_wings_of_two_flights_are_kept_apart() -> None:
+    observer = Observer()
+    row = [State.decode(state(bird, 10, run=1)) for bird in (1, 2, 3)]
+    observer.hear(1, 2, 3, step=10, run=1)
+    for run, ratio in ((1, 0.9), (2, 1.1)):
+        for bird in (1, 2, 3):
+            observer.view.hear_wing(bird, Wing(run, bird, np.full(2, ratio)).encode())
+    found = observer.view.span_ratio(row)
+    assert found is not None
+    assert found.tolist() == [[0.9, 0.9]] * 3
+
+
+def test_a_flight_of_rare_states_is_watched_as_long_as_its_clock_grants() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=10, run=1)
+    for step in (20, 30, 40):
+        observer.time += 0.9 * SILENT
+        observer.view.hear_grant(grant(1))
+        observer.hear(1, 2, 3, step=step, run=2)
+        assert observer.step() == 10
+    observer.time += 0.9 * SILENT
+    observer.hear(1, 2, 3, step=20, run=1)
+    assert observer.step() == 20
+
+
+def test_what_another_flight_sent_before_it_is_watched_is_not_lost() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=10, run=1)
+    observer.time += 0.5 * SILENT
+    observer.hear(1, 2, 3, step=90, run=2)
+    observer.time += 0.6 * SILENT
+    assert observer.step() == 90
+
+
+def test_a_step_is_not_put_together_from_two_epochs() -> None:
+    observer = Observer()
+    observer.hear(1, 2, 3, step=10)
+    observer.hear(1, 2, step=20)
+    again = State.at(FLOCK, 20, *values(99)[:, 2], epoch=2).encode()
+    observer.view.hear_state(3, again)
+    assert observer.step() == 10
+
+
+def test_many_runs_take_no_more_room_than_some() -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(7))
+    observer.hear(1, 2, 3, step=10, run=7)
+    for run in range(100, 200):
+        observer.hear(1, 2, 3, step=50, run=run)
+        observer.view.hear_grant(grant(run, OTHER))
+    assert observer.step() == 10
+    assert observer.view.flown == FLOCK
 
 
 def test_what_is_no_message_changes_nothing() -> None:

@@ -5,23 +5,30 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+
+import numpy as np
 
 from flock_sim.analysis.metrics import plain
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.handshake import read_handshake
-from flock_sim.messages.types import ARRAYS, Grant, State
+from flock_sim.messages.types import ARRAYS, Grant, State, Wing
 from flock_sim.physics import formation
+from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
+from flock_tools.live.received_run import Granted, ReceivedRun
 
 SILENT = 2.0
-"""Time without a message of the observed run after which another run replaces it, in s."""
+"""Time without a state or a grant of the observed run after which another run replaces it, in s."""
 
-MOST_ROWS = 256
-"""Largest number of steps that are kept while some of their states are missing."""
+MOST_RUNS = 8
+"""Largest number of runs whose messages are kept."""
+
+WIDEST = 1000.0
+"""Span ratio from which a received wing is ignored."""
 
 RATE_OVER = 2.0
 """Time over which the rate is averaged, in s."""
@@ -65,53 +72,47 @@ class Sample:
 
 
 class View:
-    """Takes the messages of a flock, and gives the latest step with states of all birds."""
+    """Takes the messages of a flock, and gives the latest step with states of all birds.
+
+    Several flocks may use the same topics. The messages of each run are kept apart, and one run is
+    observed: the first one, until it is silent and another one is not.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         """Begin without messages. `now` returns the time in s."""
         self._now = now
-        self._grant: Grant | None = None
-        self._configuration: FlockConfiguration | None = None
-        self._factor = 0.0
-        self.unreadable = ""
-        """Why the configuration in the last grant can't be read; empty if it can be."""
-        self._shown: dict[int, State] = {}
-        self._forget(0)
+        self._runs: dict[int, ReceivedRun] = {}
+        self._run: int | None = None
+        self._shown: list[State] = []
+        self._steps: deque[tuple[float, int]] = deque()
 
     def hear_grant(self, data: bytes) -> None:
         """Take a grant of a clock, which has the configuration. Invalid grants are ignored.
 
         A grant whose configuration this version of Flock can't read is not: see `unreadable`.
         """
-        try:
+        with suppress(ValueError, TypeError, AttributeError):
             grant = Grant.decode(data)
-            if self._grant is None or grant.terms != self._grant.terms:
-                self._configuration, self._factor = read_handshake(grant.terms)
-        except FlockError as error:
-            self._configuration, self.unreadable = None, str(error)
-        except (ValueError, TypeError, AttributeError):
-            return
-        else:
-            self.unreadable = ""
-        self._grant = grant
+            self._received(grant.run_id).add_grant(grant, self._now())
+
+    def hear_wing(self, bird: int, data: bytes) -> None:
+        """Take the wing of `bird`. Invalid wings are ignored."""
+        with suppress(ValueError):
+            wing = Wing.decode(data)
+            if np.all((wing.span_ratio > 0.0) & (wing.span_ratio < WIDEST)):
+                self._received(wing.run_id).wings[bird] = wing
 
     def hear_state(self, bird: int, data: bytes) -> None:
-        """Take a state of `bird`. Ignore invalid states, and other runs while one is observed."""
+        """Take a state of `bird`. Ignore invalid states."""
         try:
             state = State.decode(data)
         except ValueError:
             return
         if _members(state) is None:
             return
-        now = self._now()
-        if state.run_id != self._run:
-            if self._heard and now - max(self._heard.values()) < SILENT:
-                return
-            self._forget(state.run_id)
-        self._heard[bird] = now
-        self._rows.setdefault(state.step, {})[bird] = state
-        while len(self._rows) > MOST_ROWS:
-            del self._rows[next(iter(self._rows))]
+        self._received(state.run_id).add_state(bird, state, self._now())
+        if self._run is None:
+            self._run = state.run_id
 
     def sample(self, known: Collection[int], member: int) -> Sample | None:
         """Return the latest complete step of the flock; None while a bird is missing.
@@ -120,49 +121,92 @@ class View:
         number of birds. Raises FlockError if the flock has no such member.
         """
         row = self.row(known, member)
-        return self._sampled(row, member, self.flown) if row else None
+        return self._sampled(row, member, self.granted) if row else None
 
     def row(self, known: Collection[int], member: int) -> list[State]:
         """Return the states of the latest step that is complete; empty if there is none.
 
         Raises FlockError if the states have no such member.
         """
+        self._choose()
+        if self._run is None:
+            return []
         flown = self.flown
         birds = flown.birds if flown else max(known, default=0)
-        whole = [step for step, row in self._rows.items() if self._of_all(row, birds)]
-        if whole:
-            # The row received last: after a rewind, its step is not the highest.
-            self._shown = self._rows[whole[-1]]
-            if self._steps and whole[-1] < self._steps[-1][1]:
+        members = flown.members if flown else None
+        row = self._runs[self._run].latest(birds, members)
+        if row:
+            self._shown = row
+            step = row[0].step
+            if self._steps and step < self._steps[-1][1]:
                 self._steps.clear()  # after a rewind or a new playback, the rate starts anew
-            self._steps.append((self._now(), whole[-1]))
-            for step in list(self._rows):
-                if step == whole[-1]:
-                    break
-                del self._rows[step]
-        row = self._of_all(self._shown, birds)
-        if not row:
+            self._steps.append((self._now(), step))
+        row = self._shown
+        if len(row) != birds or (row and members not in (None, len(row[0].position))):
             return []
-        members = len(row[0].position)
-        if member > members:
+        if row and member > len(row[0].position):
             raise FlockError(
-                f"--member {member}: must be in 1..{members}, the members of the flock"
+                f"--member {member}: must be in 1..{len(row[0].position)}, the members of the flock"
             )
         return row
 
-    def _of_all(self, row: Mapping[int, State], birds: int) -> list[State]:
-        """Return the states of birds 1 to `birds`; empty unless all exist with equal members."""
-        if birds < 1 or any(bird not in row for bird in range(1, birds + 1)):
-            return []
-        states = [row[bird] for bird in range(1, birds + 1)]
-        flown = self.flown
-        members = flown.members if flown else len(states[0].position)
-        return states if all(len(state.position) == members for state in states) else []
+    def span_ratio(self, row: Sequence[State]) -> FloatArray | None:
+        """Return the span ratios of a row's birds from their wings, shape (birds, members).
 
-    def _sampled(self, row: list[State], member: int, flown: FlockConfiguration | None) -> Sample:
+        None while one is missing.
+        """
+        wings = [self._wing(bird) for bird in range(1, len(row) + 1)]
+        ratios = [
+            wing.span_ratio
+            for wing, state in zip(wings, row, strict=True)
+            if wing is not None and len(wing.span_ratio) == len(state.position)
+        ]
+        return np.array(ratios) if row and len(ratios) == len(row) else None
+
+    @property
+    def granted(self) -> Granted | None:
+        """The last grant of the observed run; None if there is none.
+
+        A played flight has the grants of the run that was recorded, of which no state is received.
+        """
+        if self._run:
+            return self._runs[self._run].granted
+        return max(
+            (run.granted for run in self._of_played() if run.granted),
+            key=lambda granted: granted.at,
+            default=None,
+        )
+
+    @property
+    def flown(self) -> FlockConfiguration | None:
+        """The configuration of the observed run, if a grant gives it."""
+        granted = self.granted
+        return granted.configuration if granted else None
+
+    @property
+    def unreadable(self) -> str:
+        """Why the configuration in the last grant can't be read; empty if it can be."""
+        granted = self.granted
+        return granted.unreadable if granted else ""
+
+    def _wing(self, bird: int) -> Wing | None:
+        """Return the wing of a bird of the observed run."""
+        runs = [self._runs[self._run]] if self._run else self._of_played()
+        return next((run.wings[bird] for run in runs if bird in run.wings), None)
+
+    def _of_played(self) -> list[ReceivedRun]:
+        """Return the runs that a played flight may have been recorded from, the last one first.
+
+        Recorded states have run id 0, for any run id of their grants and wings.
+        """
+        return [run for number, run in self._runs.items() if not number or not run.heard][::-1]
+
+    def _sampled(self, row: list[State], member: int, granted: Granted | None) -> Sample:
         birds = len(row)
         members = len(row[0].position)
         state = FlockState.of(row).member(member - 1)
+        flown = granted.configuration if granted else None
+        heard = self._runs[self._run or 0].heard
         now = self._now()
         return Sample(
             birds=birds,
@@ -171,15 +215,15 @@ class View:
             leader=formation.leader(birds),
             step=state.step,
             time=state.time,
-            end=self._grant.end if flown and self._grant else None,
+            end=granted.grant.end if flown and granted else None,
             coupling=flown.coupling if flown else None,
-            real_time_factor=self._factor if flown else None,
+            real_time_factor=granted.real_time_factor if flown and granted else None,
             rate=self._rate(now),
             position=state.from_leader.tolist(),
             speed=state.speed.tolist(),
             interaction_drag=state.interaction_drag.tolist(),
             drag_reduction=state.drag_reduction(Scales.of(flown)).tolist() if flown else None,
-            age=[now - self._heard[bird] for bird in range(1, birds + 1)],
+            age=[now - heard[bird] for bird in range(1, birds + 1)],
             hears=[
                 list(formation.neighbours(bird, birds, flown.coupling))
                 for bird in range(1, birds + 1)
@@ -187,12 +231,6 @@ class View:
             if flown
             else None,
         )
-
-    @property
-    def flown(self) -> FlockConfiguration | None:
-        """The configuration, if the grant is of the observed run or the states are of run 0."""
-        ours = self._grant is not None and self._run in (0, self._grant.run_id)
-        return self._configuration if ours else None
 
     def _rate(self, now: float) -> float | None:
         while len(self._steps) > 2 and now - self._steps[0][0] > RATE_OVER:
@@ -202,12 +240,23 @@ class View:
         (begun, first), (ended, last) = self._steps[0], self._steps[-1]
         return (last - first) / (ended - begun) if ended > begun else None
 
-    def _forget(self, run: int) -> None:
-        self._run = run
-        self._rows: dict[int, dict[int, State]] = {}
-        self._shown = {}
-        self._heard: dict[int, float] = {}
-        self._steps: deque[tuple[float, int]] = deque()
+    def _choose(self) -> None:
+        """Observe the run whose state came last, once the observed one is silent."""
+        if self._run is None or self._now() - self._runs[self._run].until < SILENT:
+            return
+        latest = max(self._runs, key=lambda number: self._runs[number].states_until)
+        if self._runs[latest].states_until > self._runs[self._run].until:
+            self._run = latest
+            self._shown = []
+            self._steps.clear()
+
+    def _received(self, number: int) -> ReceivedRun:
+        """Return the messages of a run, as the last one of all runs."""
+        run = self._runs.pop(number, None) or ReceivedRun()
+        while len(self._runs) >= MOST_RUNS:
+            del self._runs[next(each for each in self._runs if each != self._run)]
+        self._runs[number] = run
+        return run
 
 
 def _members(state: State) -> int | None:

@@ -32,7 +32,8 @@ SETTLED = 1.0
 """Time without a new bird after which all birds count as found, without a clock, in s."""
 
 DEPTH = 64
-"""Queue depth for the states of a bird. A flock that is faster than this node is sampled."""
+"""Queue depth of a topic. A flock that is faster than this node is sampled. Several flights may
+latch their grants and wings on the same topics."""
 
 STATE_TOPIC = re.compile(re.escape(topics.NAMESPACE) + r"/bird_(\d+)/state")
 
@@ -56,7 +57,7 @@ class Watcher(Node):
         self.birds: set[int] = set()
         self._found_at = 0.0
         self.create_subscription(
-            Grant, topics.GRANT_TOPIC, self.view.hear_grant, latched(1), raw=True
+            Grant, topics.GRANT_TOPIC, self.view.hear_grant, latched(DEPTH), raw=True
         )
         self.create_timer(REFRESH, self.look_around)
 

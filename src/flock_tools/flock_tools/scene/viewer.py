@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from geometry_msgs.msg import TransformStamped
 from rclpy.context import Context
 from rclpy.publisher import Publisher
@@ -20,12 +18,12 @@ from visualization_msgs.msg import MarkerArray
 from flock_interfaces.msg import BirdWing
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.types import BILLION, State, Wing
+from flock_sim.messages.types import BILLION, State
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.ros.endpoints import latched
 from flock_tools.live.flock_monitor import Sample
-from flock_tools.live.listener import Watcher
+from flock_tools.live.listener import DEPTH, Watcher
 from flock_tools.scene import messages
 from flock_tools.scene.shapes import Scene, scene
 from flock_tools.scene.snapshot import Snapshot
@@ -44,9 +42,6 @@ FOXGLOVE_TYPES = {
     TF_TOPIC: messages.TRANSFORMS,
 }
 """Topics offered to Foxglove, and their types. The transform is on /tf, as Foxglove expects."""
-
-WIDEST = 1000.0
-"""Span ratio from which a received wing is ignored."""
 
 TRAIL = 600
 """Largest number of points of a trail."""
@@ -111,7 +106,6 @@ class Viewer(Watcher):
         self._member = member
         self._assumed = assumed
         self._foxglove = foxglove
-        self._wings: dict[int, Wing] = {}
         self._trail: deque[FloatArray] = deque(maxlen=TRAIL)
         self._frame: Frame | None = None
         self._shown: State | None = None
@@ -131,13 +125,10 @@ class Viewer(Watcher):
         """Subscribe to the wing of `bird`, too."""
 
         def hear(data: bytes) -> None:
-            with suppress(ValueError):  # invalid wings
-                wing = Wing.decode(data)
-                if np.all((wing.span_ratio > 0.0) & (wing.span_ratio < WIDEST)):
-                    self._wings[bird] = wing
+            self.view.hear_wing(bird, data)
 
         super().listen(bird, topic)
-        self.create_subscription(BirdWing, topics.wing_topic(bird), hear, latched(1), raw=True)
+        self.create_subscription(BirdWing, topics.wing_topic(bird), hear, latched(DEPTH), raw=True)
 
     def knows(self, sample: Sample) -> bool:
         """Whether discovery is complete, with the wings of all birds."""
@@ -186,26 +177,11 @@ class Viewer(Watcher):
         """Return the latest complete step; None while a bird or a wing is missing."""
         row = self.view.row(self.birds, self._member)
         flown = self.view.flown
-        ratios = flown.span_ratio if flown else self._span_ratios(row)
+        ratios = flown.span_ratio if flown else self.view.span_ratio(row)
         if not row or ratios is None:
             return None
         state, stamp = FlockState.of(row), (row[0].seconds, row[0].nanoseconds)
         return Snapshot.of(flown or self._assumed, state, ratios, self._member - 1, stamp)
-
-    def _span_ratios(self, row: Sequence[State]) -> FloatArray | None:
-        """Return the span ratios from wings, shape (birds, members); None while one is missing.
-
-        Recorded states have run id 0, for any run id of their wings.
-        """
-        wings = [self._wings.get(bird + 1) for bird in range(len(row))]
-        ratios = [
-            wing.span_ratio
-            for wing, state in zip(wings, row, strict=True)
-            if wing is not None
-            and state.run_id in (0, wing.run_id)
-            and len(wing.span_ratio) == len(state.position)
-        ]
-        return np.array(ratios) if row and len(ratios) == len(row) else None
 
 
 def _tf_message() -> Any:
