@@ -54,7 +54,9 @@ class Watcher(Node):
             enable_rosout=False,
         )
         self.view = View()
-        self.birds: set[int] = set()
+        self.birds: frozenset[int] = frozenset()
+        """The birds whose states are published; after the end of a flight, the last ones."""
+        self._heard: set[int] = set()
         self._found_at = 0.0
         self.create_subscription(
             Grant, topics.GRANT_TOPIC, self.view.hear_grant, latched(DEPTH), raw=True
@@ -62,11 +64,20 @@ class Watcher(Node):
         self.create_timer(REFRESH, self.look_around)
 
     def look_around(self) -> None:
-        """Subscribe to newly found birds."""
+        """Find the birds whose states are published, and subscribe to new ones.
+
+        Topics that are only subscribed to, such as by another `watch`, are of no bird.
+        """
+        found: set[int] = set()
         for name, _ in self.get_topic_names_and_types():
             match = STATE_TOPIC.fullmatch(name)
-            if match and int(match[1]) not in self.birds:
-                self.listen(int(match[1]), name)
+            if match and self.count_publishers(name):
+                found.add(int(match[1]))
+                if int(match[1]) not in self._heard:
+                    self.listen(int(match[1]), name)
+        if found and found != self.birds:
+            self.birds = frozenset(found)
+            self._found_at = time.monotonic()
 
     def knows(self, sample: Sample) -> bool:
         """Whether discovery is complete: by a grant, or without a clock and without new birds."""
@@ -81,8 +92,7 @@ class Watcher(Node):
         def hear(data: bytes) -> None:
             self.view.hear_state(bird, data)
 
-        self.birds.add(bird)
-        self._found_at = time.monotonic()
+        self._heard.add(bird)
         self.create_subscription(BirdState, topic, hear, latched(DEPTH), raw=True)
 
 
