@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 from flock_sim.recording.run import Run
+from flock_sim.ros.process import executing
+from flock_tools.live.flock_monitor import Sample
+from flock_tools.live.listener import Watcher
 from support.bags import last_step
 from support.terminal import Terminal
+from support.visitor import Visitor
 
 FLOCK = ("--birds", 3, "--t-max", 300, "--span-ratio", "1=0.95,1.0")
 
@@ -42,6 +46,32 @@ def test_a_flight_is_shown_with_all_that_its_clock_tells(terminal: Terminal) -> 
     assert shown["position"] == expected["position"][0]
     assert shown["drag_reduction"] == expected["drag_reduction"][0]
     assert (shown["coupling"], shown["hears"]) == ("nearest", [[2], [1, 3], [2]])
+
+
+def test_one_flock_after_the_other_is_shown_as_what_it_is(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    free = ("--mode", "free", "--real-time-factor", 20, "--coupling", "all")
+    terminal.well("fly", *free, "--birds", 5, "--t-max", 300, "--output", "flown")
+    terminal.well("reference", *FLOCK, "--output", "bag")
+    context = visitor.node.context
+    with executing("single", context) as executor:
+        executor.add_node(watcher := Watcher(context))
+
+        def shown() -> Sample | None:
+            executor.spin_once(timeout_sec=0.05)
+            return watcher.view.sample(watcher.birds, 1)
+
+        for bag, *expected in (("flown", 5, "all", 300, 20.0), ("bag", 3, None, None, None)):
+            player = terminal.start("play", bag, "--loop")
+            visitor.until(lambda birds=expected[0]: (now := shown()) and now.birds == birds)
+            visitor.until(lambda: (now := shown()) and watcher.knows(now))
+            now = shown()
+            assert now is not None
+            told = [now.birds, now.coupling, now.end, now.real_time_factor]
+            assert told == expected
+            player.interrupt()
+            assert player.wait().status == 130
 
 
 def test_a_silent_domain_is_named(terminal: Terminal) -> None:

@@ -15,6 +15,7 @@ from flock_sim.messages.handshake import handshake
 from flock_sim.messages.types import Grant, State, Wing
 from flock_sim.physics.flock_state import FlockState
 from flock_tools.live.flock_monitor import SILENT, View
+from flock_tools.live.players import Publisher
 
 FLOCK = FlockConfiguration(birds=3, span_ratios=("1=0.9,1.0",), t_max=100.0)
 
@@ -253,6 +254,82 @@ def test_many_runs_take_no_more_room_than_some() -> None:
         observer.view.hear_grant(grant(run, OTHER))
     assert observer.step() == 10
     assert observer.view.flown == FLOCK
+
+
+def test_a_played_flock_is_not_taken_for_the_flight_before() -> None:
+    observer = Observer()
+    observer.view.hear_grant(grant(7, OTHER))  # of five birds
+    observer.hear(1, 2, 3, step=10, run=7)
+    observer.view.hear_wing(1, Wing(7, 1, np.ones(2)).encode())
+    observer.time += SILENT
+    observer.hear(1, 2, 3, step=20)  # from a bag of `reference`, without grants
+    sample = observer.view.sample({1, 2, 3}, 1)
+    assert sample is not None
+    assert (sample.birds, sample.coupling, sample.end) == (3, None, None)
+    assert observer.view.span_ratio([State.decode(state(1, 20))]) is None
+
+
+PLAYER, NEXT = Publisher("/flock/player", (1,)), Publisher("/flock/player", (2,))
+
+
+def test_a_played_flock_is_not_taken_for_the_one_played_before() -> None:
+    observer = Observer()
+    observer.view.see_publishers(dict.fromkeys((1, 2, 3), (PLAYER,)), [PLAYER])
+    observer.view.hear_grant(grant(7))
+    observer.hear(1, 2, 3, step=10)
+    observer.hear(1, step=20)
+    assert observer.step() == 10
+    assert observer.view.flown == FLOCK
+    observer.time += 0.25
+    observer.view.see_publishers({}, [])
+    assert observer.step() == 10
+    observer.time += 0.25
+    observer.view.see_publishers(dict.fromkeys((1, 2), (NEXT,)), [])
+    assert observer.view.flown is None
+    observer.hear(2, step=20)
+    assert observer.step() is None  # no row is made of both
+    observer.hear(1, 2, step=0)
+    sample = observer.view.sample({1, 2, 3}, 1)
+    assert sample is not None
+    assert (sample.birds, sample.step, sample.coupling) == (2, 0, None)
+
+
+def test_the_grant_of_a_flight_goes_with_its_bag_but_not_with_another_one() -> None:
+    observer = Observer()
+    observer.view.see_publishers({1: [Publisher("/flock/bird_01", (1,))]}, [PLAYER])
+    observer.view.hear_grant(grant(7))
+    observer.hear(1, 2, 3, step=10, run=7)
+    observer.time += SILENT
+    observer.view.see_publishers({}, [])
+    observer.time += 0.25
+    observer.view.hear_grant(grant(7))  # played, by a player that is discovered afterwards
+    observer.hear(1, 2, 3, step=20)
+    observer.view.see_publishers(dict.fromkeys((1, 2, 3), (NEXT,)), [NEXT])
+    assert observer.step() == 20
+    assert observer.view.flown == FLOCK
+
+
+def test_a_flight_at_the_same_time_does_not_lend_its_grant_to_a_played_flock() -> None:
+    observer = Observer()
+    observer.view.see_publishers(dict.fromkeys((1, 2, 3), (PLAYER,)), [PLAYER])
+    observer.hear(1, 2, 3, step=10)
+    observer.view.hear_grant(grant(7))
+    observer.hear(1, 2, 3, step=30, run=8)
+    observer.view.hear_grant(grant(8, OTHER))
+    assert observer.view.flown == FLOCK
+    assert observer.step() == 10
+
+
+def test_a_played_flock_has_the_birds_that_are_played() -> None:
+    observer = Observer()
+    publishers = {bird: [Publisher(f"/flock/bird_{bird:02d}", (9,))] for bird in range(1, 6)}
+    for bird in (1, 2, 3):
+        publishers[bird].append(PLAYER)
+    observer.view.see_publishers(publishers, [])
+    observer.hear(1, 2, 3, step=10)
+    sample = observer.view.sample(range(1, 6), 1)
+    assert sample is not None
+    assert sample.birds == 3
 
 
 def test_what_is_no_message_changes_nothing() -> None:

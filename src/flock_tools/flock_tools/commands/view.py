@@ -31,6 +31,7 @@ from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
+    from flock_tools.scene.viewer import Viewer
 
 DESCRIPTION = """\
 Show a flock that is being flown or played, in 3D and SI units: birds of true span, coloured by the
@@ -215,9 +216,7 @@ def _publish(
             raise FlockError(str(error)) from error
         if sample is None:
             return
-        if not viewer.tells_flown:
-            why = _assumed(viewer.view.unreadable)
-            note(f"note: {why}; SI units and drag saved follow --config")
+        told = _tell_assumed(viewer)
         note(
             f"showing {sample.birds} birds, member {sample.member} of {sample.members}, on "
             f"{MARKERS_TOPIC}, ROS domain {os.environ.get(DOMAIN) or 0}; Ctrl-C ends it"
@@ -226,16 +225,21 @@ def _publish(
             note(f"Foxglove: open the connection {server.address}")
         while not stop:
             viewer.publish()
+            told = told or _tell_assumed(viewer)
             until = time.monotonic() + period(rate)
             while not stop and (left := until - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=left)
 
 
-def _assumed(unreadable: str) -> str:
-    """Return why the configuration is assumed; `unreadable` is why the clock's can't be read."""
-    if unreadable:
-        return f"the configuration that the clock sends can't be read ({unreadable})"
-    return "no clock sends the configuration"
+def _tell_assumed(viewer: Viewer) -> bool:
+    """Tell the user if the configuration of the shown flock is assumed; return whether it is."""
+    if viewer.tells_flown:
+        return False
+    why = "no clock sends the configuration"
+    if unreadable := viewer.view.unreadable:
+        why = f"the configuration that the clock sends can't be read ({unreadable})"
+    note(f"note: {why}; SI units and drag saved follow --config")
+    return True
 
 
 def _refusals() -> Callable[[str], None]:

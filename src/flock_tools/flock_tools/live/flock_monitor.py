@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
+from flock_tools.live.players import Players, Publisher
 from flock_tools.live.received_run import Granted, ReceivedRun
 
 SILENT = 2.0
@@ -81,6 +83,7 @@ class View:
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         """Begin without messages. `now` returns the time in s."""
         self._now = now
+        self._players = Players()
         self._runs: dict[int, ReceivedRun] = {}
         self._run: int | None = None
         self._shown: list[State] = []
@@ -100,7 +103,7 @@ class View:
         with suppress(ValueError):
             wing = Wing.decode(data)
             if np.all((wing.span_ratio > 0.0) & (wing.span_ratio < WIDEST)):
-                self._received(wing.run_id).wings[bird] = wing
+                self._received(wing.run_id).wings[bird] = wing, self._now()
 
     def hear_state(self, bird: int, data: bytes) -> None:
         """Take a state of `bird`. Ignore invalid states."""
@@ -113,6 +116,20 @@ class View:
         self._received(state.run_id).add_state(bird, state, self._now())
         if self._run is None:
             self._run = state.run_id
+
+    def see_publishers(
+        self, states: Mapping[int, Collection[Publisher]], grants: Collection[Publisher]
+    ) -> None:
+        """Take the publishers of each bird's states and of grants, as they are now.
+
+        A recorded flight of a player that was not there before is a new flock.
+        """
+        before = self._players.since
+        self._players.look(states, grants, self._now())
+        if self._players.since != before and 0 in self._runs:
+            self._runs[0].forget_states_before(self._players.since)
+            if self._run == 0:
+                self._start_anew()
 
     def sample(self, known: Collection[int], member: int) -> Sample | None:
         """Return the latest complete step of the flock; None while a bird is missing.
@@ -132,6 +149,7 @@ class View:
         if self._run is None:
             return []
         flown = self.flown
+        known = self._players.birds or known if self._run == 0 else known
         birds = flown.birds if flown else max(known, default=0)
         members = flown.members if flown else None
         row = self._runs[self._run].latest(birds, members)
@@ -167,15 +185,29 @@ class View:
     def granted(self) -> Granted | None:
         """The last grant of the observed run; None if there is none.
 
-        A played flight has the grants of the run that was recorded, of which no state is received.
+        A played flight has the grants of the run that was recorded, if its player publishes grants.
         """
         if self._run:
             return self._runs[self._run].granted
-        return max(
-            (run.granted for run in self._of_played() if run.granted),
-            key=lambda granted: granted.at,
-            default=None,
-        )
+        found = [run.granted for run in self._of_played() if run.granted]
+        found = [each for each in found if self._players.grant and each.at >= self._players.since]
+        return max(found, key=lambda granted: granted.at, default=None)
+
+    @property
+    def played(self) -> bool:
+        """Whether the observed flight is a recorded one."""
+        return self._run == 0
+
+    @property
+    def source(self) -> tuple[int | None, float]:
+        """What distinguishes the observed flight: its run, and of a recorded one its player."""
+        return self._run, self._players.since if self.played else 0.0
+
+    @property
+    def awaits_grant(self) -> bool:
+        """Whether no grant is received of the observed flight, but its publisher is known."""
+        players = self._players
+        return self.granted is None and (players.grant if self.played else players.clock)
 
     @property
     def flown(self) -> FlockConfiguration | None:
@@ -192,14 +224,22 @@ class View:
     def _wing(self, bird: int) -> Wing | None:
         """Return the wing of a bird of the observed run."""
         runs = [self._runs[self._run]] if self._run else self._of_played()
-        return next((run.wings[bird] for run in runs if bird in run.wings), None)
+        since = -math.inf if self._run else self._players.since
+        found = [run.wings[bird] for run in runs if bird in run.wings]
+        return next((wing for wing, at in found if at >= since), None)
 
     def _of_played(self) -> list[ReceivedRun]:
         """Return the runs that a played flight may have been recorded from, the last one first.
 
-        Recorded states have run id 0, for any run id of their grants and wings.
+        Recorded states have run id 0, for any run id of their grants and wings. A run whose states
+        are received themselves is flown now, and not played.
         """
-        return [run for number, run in self._runs.items() if not number or not run.heard][::-1]
+        since = self._players.since
+        return [
+            run
+            for number, run in reversed(self._runs.items())
+            if not number or not run.heard or run.states_until < since
+        ]
 
     def _sampled(self, row: list[State], member: int, granted: Granted | None) -> Sample:
         birds = len(row)
@@ -241,14 +281,25 @@ class View:
         return (last - first) / (ended - begun) if ended > begun else None
 
     def _choose(self) -> None:
-        """Observe the run whose state came last, once the observed one is silent."""
-        if self._run is None or self._now() - self._runs[self._run].until < SILENT:
+        """Observe the run whose state came last, once the observed one is silent.
+
+        Grants of a recorded flight are no sign that it is still flown.
+        """
+        if self._run is None:
+            return
+        observed = self._runs[self._run]
+        until = observed.until if self._players.clock else observed.states_until
+        if self._now() - until < SILENT:
             return
         latest = max(self._runs, key=lambda number: self._runs[number].states_until)
-        if self._runs[latest].states_until > self._runs[self._run].until:
+        if self._runs[latest].states_until > until:
             self._run = latest
-            self._shown = []
-            self._steps.clear()
+            self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Show nothing of the flock before."""
+        self._shown = []
+        self._steps.clear()
 
     def _received(self, number: int) -> ReceivedRun:
         """Return the messages of a run, as the last one of all runs."""

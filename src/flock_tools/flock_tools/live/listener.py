@@ -24,6 +24,7 @@ from flock_sim.ros.endpoints import latched
 from flock_sim.ros.process import executing, ros_context
 from flock_sim.ros.settings_check import check_settings
 from flock_tools.live.flock_monitor import Sample, View
+from flock_tools.live.players import Publisher
 
 REFRESH = 0.25
 """Interval between updates of the table, and between searches for topics, in s."""
@@ -37,6 +38,12 @@ latch their grants and wings on the same topics."""
 
 STATE_TOPIC = re.compile(re.escape(topics.NAMESPACE) + r"/bird_(\d+)/state")
 
+
+PARTICIPANT = 12
+"""Number of bytes of an endpoint's global id (GUID) that its process has given to all of them."""
+
+UNNAMED = "_NODE_NAME_UNKNOWN_"
+"""The node name, in ROS 2, of an endpoint whose node has not been discovered."""
 
 Listener = TypeVar("Listener", bound="Watcher")
 
@@ -64,19 +71,20 @@ class Watcher(Node):
         self.create_timer(REFRESH, self.look_around)
 
     def look_around(self) -> None:
-        """Find the birds whose states are published, and subscribe to new ones.
+        """Subscribe to newly found birds, and find out which nodes publish their states.
 
         Topics that are only subscribed to, such as by another `watch`, are of no bird.
         """
-        found: set[int] = set()
+        states: dict[int, frozenset[Publisher]] = {}
         for name, _ in self.get_topic_names_and_types():
             match = STATE_TOPIC.fullmatch(name)
-            if match and self.count_publishers(name):
-                found.add(int(match[1]))
+            if match and (found := self.publishers_of(name)):
+                states[int(match[1])] = found
                 if int(match[1]) not in self._heard:
                     self.listen(int(match[1]), name)
-        if found and found != self.birds:
-            self.birds = frozenset(found)
+        self.view.see_publishers(states, self.publishers_of(topics.GRANT_TOPIC))
+        if states and states.keys() != self.birds:
+            self.birds = frozenset(states)
             self._found_at = time.monotonic()
 
     def knows(self, sample: Sample) -> bool:
@@ -84,7 +92,7 @@ class Watcher(Node):
         if sample.coupling is not None:
             return True
         settled = time.monotonic() - self._found_at > SETTLED
-        return settled and self.count_publishers(topics.GRANT_TOPIC) == 0
+        return settled and not self.view.awaits_grant
 
     def listen(self, bird: int, topic: str) -> None:
         """Subscribe to the states of `bird`."""
@@ -94,6 +102,18 @@ class Watcher(Node):
 
         self._heard.add(bird)
         self.create_subscription(BirdState, topic, hear, latched(DEPTH), raw=True)
+
+    def publishers_of(self, topic: str) -> frozenset[Publisher]:
+        """Return the nodes that publish `topic`."""
+        return frozenset(
+            Publisher(
+                ""
+                if each.node_name == UNNAMED
+                else f"{each.node_namespace.rstrip('/')}/{each.node_name}",
+                tuple(each.endpoint_gid[:PARTICIPANT]),
+            )
+            for each in self.get_publishers_info_by_topic(topic)
+        )
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
@@ -29,17 +30,24 @@ class Granted:
     """Why this version of Flock can't read the configuration; empty if it can."""
 
 
+class _Received(NamedTuple):
+    """A state, and when it was received, in s."""
+
+    state: State
+    at: float
+
+
 class ReceivedRun:
     """The grant, the wings and the latest states of one run. Recorded states are those of run 0."""
 
     def __init__(self) -> None:
         """Start without messages."""
         self.granted: Granted | None = None
-        self.wings: dict[int, Wing] = {}
-        """The wing of each bird."""
+        self.wings: dict[int, tuple[Wing, float]] = {}
+        """The wing of each bird, and when it was received, in s."""
         self.heard: dict[int, float] = {}
         """When the last state of each bird was received, in s."""
-        self._rows: dict[tuple[int, int], dict[int, State]] = {}  # by epoch and step
+        self._rows: dict[tuple[int, int], dict[int, _Received]] = {}  # by epoch and step
 
     @property
     def states_until(self) -> float:
@@ -67,9 +75,19 @@ class ReceivedRun:
     def add_state(self, bird: int, state: State, now: float) -> None:
         """Take a state of `bird`."""
         self.heard[bird] = now
-        self._rows.setdefault((state.epoch, state.step), {})[bird] = state
+        self._rows.setdefault((state.epoch, state.step), {})[bird] = _Received(state, now)
         while len(self._rows) > MOST_ROWS:
             del self._rows[next(iter(self._rows))]
+
+    def forget_states_before(self, since: float) -> None:
+        """Drop the states that were received before time `since`, in s."""
+        self.heard = {bird: at for bird, at in self.heard.items() if at >= since}
+        for key, row in list(self._rows.items()):
+            kept = {bird: received for bird, received in row.items() if received.at >= since}
+            if kept:
+                self._rows[key] = kept
+            else:
+                del self._rows[key]
 
     def latest(self, birds: int, members: int | None) -> list[State]:
         """Return the row received last that has states of birds 1 to `birds`; empty without one.
@@ -85,12 +103,12 @@ class ReceivedRun:
             if key == last:
                 break
             del self._rows[key]
-        return [whole[last][bird] for bird in range(1, birds + 1)]
+        return [whole[last][bird].state for bird in range(1, birds + 1)]
 
 
-def _is_whole(row: dict[int, State], birds: int, members: int | None) -> bool:
+def _is_whole(row: dict[int, _Received], birds: int, members: int | None) -> bool:
     """Tell whether `row` has states of birds 1 to `birds`, with the same number of members."""
     if birds < 1 or any(bird not in row for bird in range(1, birds + 1)):
         return False
-    lengths = {len(row[bird].position) for bird in range(1, birds + 1)}
+    lengths = {len(row[bird].state.position) for bird in range(1, birds + 1)}
     return len(lengths) == 1 and members in (None, *lengths)

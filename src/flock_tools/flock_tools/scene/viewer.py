@@ -109,6 +109,7 @@ class Viewer(Watcher):
         self._trail: deque[FloatArray] = deque(maxlen=TRAIL)
         self._frame: Frame | None = None
         self._shown: State | None = None
+        self._source: object = None
         self._outlets: list[tuple[Publisher, Callable[[Frame], bytes]]] = [
             (self.create_publisher(MarkerArray, MARKERS_TOPIC, 1), lambda frame: frame.markers),
             (self.create_publisher(Image, UPWASH_TOPIC, 1), lambda frame: frame.image),
@@ -157,7 +158,8 @@ class Viewer(Watcher):
         """Return the latest complete step, also if it is unchanged; None if there is none."""
         row = self.view.row(self.birds, self._member)
         before = self._frame
-        if before and row and row[0] is self._shown:
+        flown = self.view.flown or self._assumed
+        if before and row and row[0] is self._shown and before.snapshot.configuration is flown:
             if before.anew:  # markers are removed only once
                 self._frame = Frame(before.snapshot, before.trail, anew=False)
             return self._frame
@@ -165,12 +167,15 @@ class Viewer(Watcher):
         if snapshot is None:
             return None
         gone_back = self._shown is not None and row[0].step <= self._shown.step
-        if before is None or gone_back or len(before.snapshot.state.position) != len(row):
+        source = self.view.source
+        other = before is not None and len(before.snapshot.state.position) != len(row)
+        if before is None or gone_back or other or source != self._source:
             self._trail.clear()
         else:
             self._trail.append(before.snapshot.along)
         anew = before is None or before.snapshot.known.tolist() != snapshot.known.tolist()
-        self._shown, self._frame = row[0], Frame(snapshot, list(self._trail), anew)
+        self._shown, self._source = row[0], source
+        self._frame = Frame(snapshot, list(self._trail), anew)
         return self._frame
 
     def _snapshot(self) -> Snapshot | None:
