@@ -82,6 +82,17 @@ def test_a_topic_without_a_publisher_is_of_no_bird(domain: Domain) -> None:
     assert domain.watcher.birds == {1, 2, 3}
 
 
+def test_the_age_of_a_state_counts_from_when_it_was_sent(domain: Domain) -> None:
+    domain.play(domain.node("player"), birds=3)
+    sent = time.monotonic()
+    domain.until(lambda: domain.sample() is not None)
+    until = time.monotonic()
+    shown = domain.sample()
+    assert shown is not None
+    clocks = 0.001  # s: the age is measured by the system clock
+    assert min(shown.age) > until - sent - clocks
+
+
 def test_a_flock_is_shown_after_its_end(domain: Domain) -> None:
     player = domain.node("player")
     domain.play(player, birds=3)

@@ -130,6 +130,33 @@ def test_rate_and_ages_are_those_of_the_clock() -> None:
     assert second.rate == pytest.approx(100 / 0.75)
 
 
+@pytest.mark.parametrize("sampled", [False, True])  # while the states of the past are received
+def test_states_of_the_past_are_no_progress_of_now(sampled: bool) -> None:
+    observer, true, every = Observer(), 24.0, 10
+    for k in range(64):
+        for bird in (1, 2, 3):
+            age = 0.1 + (63 - k) * every / true
+            observer.view.hear_state(bird, state(bird, k * every), age)
+            observer.time += 1e-4
+        if sampled:
+            observer.step()
+    shown = observer.view.sample({1, 2, 3}, 1)
+    assert shown is not None
+    assert shown.step == 63 * every
+    assert shown.rate == pytest.approx(true, rel=0.01)
+    assert shown.age == pytest.approx([0.1] * 3, abs=0.001)
+    assert observer.view.behind == pytest.approx(0.1, abs=0.001)
+
+
+def test_a_clock_that_is_fast_makes_no_message_younger_than_nothing() -> None:
+    observer = Observer()
+    for bird in (1, 2, 3):
+        observer.view.hear_state(bird, state(bird, 0), -5.0)
+    shown = observer.view.sample({3}, 1)
+    assert shown is not None
+    assert shown.age == [0.0] * 3
+
+
 def test_a_flock_that_is_played_again_has_no_negative_rate() -> None:
     observer = Observer()
     for step in (80, 100):

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -191,7 +190,7 @@ def _publish(
 ) -> None:
     """Publish the received flock until `stop`. Raises FlockError if no flock is received."""
     # Imported here: a picture, or a report of bad input, does not need them.
-    from flock_tools.live.listener import first_sample, watching
+    from flock_tools.live.listener import first_sample, serve, watching
     from flock_tools.scene.viewer import FOXGLOVE_TYPES, MARKERS_TOPIC, Viewer
 
     host, port, origins = address
@@ -226,9 +225,7 @@ def _publish(
         while not stop:
             viewer.publish()
             told = told or _tell_assumed(viewer)
-            until = time.monotonic() + period(rate)
-            while not stop and (left := until - time.monotonic()) > 0.0:
-                executor.spin_once(timeout_sec=left)
+            serve(executor, period(rate), stop)
 
 
 def _tell_assumed(viewer: Viewer) -> bool:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -122,15 +121,13 @@ def _show(
     from rich.console import Console
     from rich.live import Live
 
-    from flock_tools.live.listener import REFRESH
+    from flock_tools.live.listener import REFRESH, serve
 
     with Live(console=Console(stderr=True), auto_refresh=False) as live:
         while not stop:
             if sample is not None:
                 live.update(table(sample, watcher.view.unreadable), refresh=True)
-            until = time.monotonic() + REFRESH
-            while not stop and (left := until - time.monotonic()) > 0.0:
-                executor.spin_once(timeout_sec=left)
+            serve(executor, REFRESH, stop)
             sample = watcher.view.sample(watcher.birds, member)
 
 

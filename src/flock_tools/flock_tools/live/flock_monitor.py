@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 from flock_tools.live.players import Players, Publisher
 from flock_tools.live.received_run import Granted, ReceivedRun
+from flock_tools.live.step_rate import StepRate
 
 SILENT = 2.0
 """Time without a state or a grant of the observed run after which another run replaces it, in s."""
@@ -31,9 +31,6 @@ MOST_RUNS = 8
 
 WIDEST = 1000.0
 """Span ratio from which a received wing is ignored."""
-
-RATE_OVER = 2.0
-"""Time over which the rate is averaged, in s."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ class Sample:
     interaction_drag: list[float]
     drag_reduction: list[float] | None
     age: list[float]
-    """Time since the last message of each bird, in s."""
+    """Time since the last message of each bird was sent, in s."""
     hears: list[list[int]] | None
 
     def as_json(self) -> dict[str, object]:
@@ -87,7 +84,8 @@ class View:
         self._runs: dict[int, ReceivedRun] = {}
         self._run: int | None = None
         self._shown: list[State] = []
-        self._steps: deque[tuple[float, int]] = deque()
+        self._sent = -math.inf
+        self._rate = StepRate()
 
     def hear_grant(self, data: bytes) -> None:
         """Take a grant of a clock, which has the configuration. Invalid grants are ignored.
@@ -105,15 +103,16 @@ class View:
             if np.all((wing.span_ratio > 0.0) & (wing.span_ratio < WIDEST)):
                 self._received(wing.run_id).wings[bird] = wing, self._now()
 
-    def hear_state(self, bird: int, data: bytes) -> None:
-        """Take a state of `bird`. Ignore invalid states."""
+    def hear_state(self, bird: int, data: bytes, age: float = 0.0) -> None:
+        """Take a state of `bird` that was sent `age` s ago. Ignore invalid states."""
         try:
             state = State.decode(data)
         except ValueError:
             return
         if _members(state) is None:
             return
-        self._received(state.run_id).add_state(bird, state, self._now())
+        now = self._now()
+        self._received(state.run_id).add_state(bird, state, now, now - age)
         if self._run is None:
             self._run = state.run_id
 
@@ -152,13 +151,9 @@ class View:
         known = self._players.birds or known if self._run == 0 else known
         birds = flown.birds if flown else max(known, default=0)
         members = flown.members if flown else None
-        row = self._runs[self._run].latest(birds, members)
-        if row:
-            self._shown = row
-            step = row[0].step
-            if self._steps and step < self._steps[-1][1]:
-                self._steps.clear()  # after a rewind or a new playback, the rate starts anew
-            self._steps.append((self._now(), step))
+        for states, sent in self._runs[self._run].rows(birds, members):
+            self._shown, self._sent = states, sent
+            self._rate.see(states[0].step, sent, self._now())
         row = self._shown
         if len(row) != birds or (row and members not in (None, len(row[0].position))):
             return []
@@ -180,6 +175,11 @@ class View:
             if wing is not None and len(wing.span_ratio) == len(state.position)
         ]
         return np.array(ratios) if row and len(ratios) == len(row) else None
+
+    @property
+    def behind(self) -> float:
+        """Time since the latest complete step was sent, in s; inf without one."""
+        return self._now() - self._sent
 
     @property
     def granted(self) -> Granted | None:
@@ -246,7 +246,7 @@ class View:
         members = len(row[0].position)
         state = FlockState.of(row).member(member - 1)
         flown = granted.configuration if granted else None
-        heard = self._runs[self._run or 0].heard
+        sent = self._runs[self._run or 0].sent
         now = self._now()
         return Sample(
             birds=birds,
@@ -258,12 +258,12 @@ class View:
             end=granted.grant.end if flown and granted else None,
             coupling=flown.coupling if flown else None,
             real_time_factor=granted.real_time_factor if flown and granted else None,
-            rate=self._rate(now),
+            rate=self._rate.at(now),
             position=state.from_leader.tolist(),
             speed=state.speed.tolist(),
             interaction_drag=state.interaction_drag.tolist(),
             drag_reduction=state.drag_reduction(Scales.of(flown)).tolist() if flown else None,
-            age=[now - heard[bird] for bird in range(1, birds + 1)],
+            age=[max(0.0, now - sent[bird]) for bird in range(1, birds + 1)],
             hears=[
                 list(formation.neighbours(bird, birds, flown.coupling))
                 for bird in range(1, birds + 1)
@@ -271,14 +271,6 @@ class View:
             if flown
             else None,
         )
-
-    def _rate(self, now: float) -> float | None:
-        while len(self._steps) > 2 and now - self._steps[0][0] > RATE_OVER:
-            self._steps.popleft()
-        if len(self._steps) < 2:
-            return None
-        (begun, first), (ended, last) = self._steps[0], self._steps[-1]
-        return (last - first) / (ended - begun) if ended > begun else None
 
     def _choose(self) -> None:
         """Observe the run whose state came last, once the observed one is silent.
@@ -298,8 +290,8 @@ class View:
 
     def _start_anew(self) -> None:
         """Show nothing of the flock before."""
-        self._shown = []
-        self._steps.clear()
+        self._shown, self._sent = [], -math.inf
+        self._rate.clear()
 
     def _received(self, number: int) -> ReceivedRun:
         """Return the messages of a run, as the last one of all runs."""

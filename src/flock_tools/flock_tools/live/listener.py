@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -97,8 +98,8 @@ class Watcher(Node):
     def listen(self, bird: int, topic: str) -> None:
         """Subscribe to the states of `bird`."""
 
-        def hear(data: bytes) -> None:
-            self.view.hear_state(bird, data)
+        def hear(data: bytes, told: Mapping[str, int]) -> None:
+            self.view.hear_state(bird, data, 1e-9 * (time.time_ns() - told["source_timestamp"]))
 
         self._heard.add(bird)
         self.create_subscription(BirdState, topic, hear, latched(DEPTH), raw=True)
@@ -138,10 +139,15 @@ def first_sample(
     Raises RunFailed if no sample is received within `timeout` s.
     """
     deadline = time.monotonic() + timeout
+    behind = math.inf
     while not stop:
+        serve(executor, min(REFRESH, timeout), stop)
         sample = watcher.view.sample(watcher.birds, 1)
         if sample is not None and watcher.knows(sample):
-            return watcher.view.sample(watcher.birds, member)
+            # Birds give a late joiner their last states, which are taken one after the other.
+            if behind - watcher.view.behind < REFRESH:
+                return watcher.view.sample(watcher.birds, member)
+            behind = watcher.view.behind
         if time.monotonic() > deadline:
             if sample is not None:
                 return watcher.view.sample(watcher.birds, member)
@@ -150,5 +156,11 @@ def first_sample(
                 f"{found} found within {timeout:g} s on ROS domain {os.environ.get(DOMAIN) or 0}:"
                 f" fly or play one there, set {DOMAIN} to its domain, or give a longer --timeout"
             )
-        executor.spin_once(timeout_sec=0.1)
     return None
+
+
+def serve(executor: Executor, duration: float, stop: Stop) -> None:
+    """Serve the executor for `duration`, in s, or until `stop`."""
+    until = time.monotonic() + duration
+    while not stop and (left := until - time.monotonic()) > 0.0:
+        executor.spin_once(timeout_sec=left)

@@ -31,10 +31,21 @@ class Granted:
 
 
 class _Received(NamedTuple):
-    """A state, and when it was received, in s."""
+    """A state, and when it was received and sent, in s."""
 
     state: State
     at: float
+    sent: float
+
+
+class Row(NamedTuple):
+    """The states of birds 1 to N at one step, and when the first one was sent, in s.
+
+    That is always the state of bird 1, since each host has its own clock.
+    """
+
+    states: list[State]
+    sent: float
 
 
 class ReceivedRun:
@@ -47,6 +58,8 @@ class ReceivedRun:
         """The wing of each bird, and when it was received, in s."""
         self.heard: dict[int, float] = {}
         """When the last state of each bird was received, in s."""
+        self.sent: dict[int, float] = {}
+        """When it was sent, in s."""
         self._rows: dict[tuple[int, int], dict[int, _Received]] = {}  # by epoch and step
 
     @property
@@ -72,10 +85,10 @@ class ReceivedRun:
                 configuration, factor, unreadable = None, 0.0, str(error)
         self.granted = Granted(grant, now, configuration, factor, unreadable)
 
-    def add_state(self, bird: int, state: State, now: float) -> None:
-        """Take a state of `bird`."""
-        self.heard[bird] = now
-        self._rows.setdefault((state.epoch, state.step), {})[bird] = _Received(state, now)
+    def add_state(self, bird: int, state: State, now: float, sent: float) -> None:
+        """Take a state of `bird` that was sent at time `sent`, in s."""
+        self.heard[bird], self.sent[bird] = now, sent
+        self._rows.setdefault((state.epoch, state.step), {})[bird] = _Received(state, now, sent)
         while len(self._rows) > MOST_ROWS:
             del self._rows[next(iter(self._rows))]
 
@@ -89,21 +102,24 @@ class ReceivedRun:
             else:
                 del self._rows[key]
 
-    def latest(self, birds: int, members: int | None) -> list[State]:
-        """Return the row received last that has states of birds 1 to `birds`; empty without one.
+    def rows(self, birds: int, members: int | None) -> list[Row]:
+        """Return the whole rows, which have states of birds 1 to `birds`, as they were received.
 
-        After a rewind, its step is not the highest. The rows before it are dropped. All its states
-        have as many members: `members`, if not None.
+        After a rewind, the step of the last one is not the highest. The rows before the last one
+        are dropped, so the next call returns it first. All states have as many members: `members`,
+        if not None.
         """
         whole = {key: row for key, row in self._rows.items() if _is_whole(row, birds, members)}
-        if not whole:
-            return []
-        last = next(reversed(whole))
-        for key in list(self._rows):
-            if key == last:
-                break
-            del self._rows[key]
-        return [whole[last][bird].state for bird in range(1, birds + 1)]
+        if whole:
+            last = next(reversed(whole))
+            for key in list(self._rows):
+                if key == last:
+                    break
+                del self._rows[key]
+        return [
+            Row([row[bird].state for bird in range(1, birds + 1)], row[1].sent)
+            for row in whole.values()
+        ]
 
 
 def _is_whole(row: dict[int, _Received], birds: int, members: int | None) -> bool:
