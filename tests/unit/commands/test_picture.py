@@ -122,6 +122,36 @@ def test_a_flock_that_has_come_apart_is_shown_where_most_of_it_is(
     assert high - low < 30.0
 
 
+def parted(birds: int, far: float) -> Change:
+    """Move the birds from the leader on by `far`."""
+    return lambda who, state: (
+        replace(state, position=state.position + far) if who > birds // 2 else state
+    )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("birds", [2, 4, 6])
+def test_an_even_flock_that_has_parted_in_halves_is_shown_around_one_half(
+    tmp_path: Path, birds: int
+) -> None:
+    flown = FlockConfiguration(birds=birds, t_max=10.0)
+    figure = drawn(record(tmp_path / "run", flown, parted(birds, 500.0)))
+    figure.draw_without_rendering()
+    assert len(outlines(figure)) == birds // 2
+    told = {text.get_text() for text in figure.axes[0].texts}
+    for bird in range(1, birds // 2 + 1):
+        start = -abs(bird - birds // 2 - 1) * (1.0 + np.pi / 4.0)
+        assert any(text.startswith(f"{bird} at −{500.0 - start:.0f}"[:-1]) for text in told)
+
+
+@pytest.mark.parametrize("far", [1e12, 1e64, 1e200])
+def test_birds_at_any_finite_distance_are_named(tmp_path: Path, far: float) -> None:
+    flown = FlockConfiguration(birds=5, t_max=10.0)
+    figure = drawn(record(tmp_path / "run", flown, broken(3, far)))
+    figure.draw_without_rendering()
+    assert any("e+" in text.get_text() for text in figure.axes[0].texts)
+
+
 def test_the_picture_lies_beside_the_bag(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_tool(tool, [str(flight)]) == 0
     told = capsys.readouterr()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.collections import PolyCollection
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
+from flock_sim.messages.types import ARRAYS, State
 from flock_sim.recording.run import Run
 from flock_tools.commands.view import period, tool
 from flock_tools.figures import output as output_module
@@ -71,6 +73,22 @@ def test_what_is_nearer_is_seen_larger_and_what_is_right_on_the_right() -> None:
     near, far = (np.ptp(camera.see(to_left + (x, 0.0, 0.0))[0][:, 0]) for x in (2.0, -2.0))
     assert near > far
     assert polygons(birds[0]).shape[1:] == (3, 3)
+
+
+@pytest.mark.parametrize("value", [1e200, np.nan, np.inf])
+def test_a_diverged_flock_is_drawn_as_far_as_it_has_finite_states(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: float
+) -> None:
+    def diverged(bird: int, state: State) -> State:
+        return replace(state, **{name: getattr(state, name) * value for name in ARRAYS})
+
+    path = record(tmp_path / "run", FlockConfiguration(birds=4, t_max=10.0), diverged)
+    assert run_tool(tool, ["--picture", str(tmp_path / "scene.png"), str(path)]) == 0
+    assert capsys.readouterr().err == ""
+    with Run(path) as run:
+        figure = draw_scene(scene_of(run, None, 0))
+    words = [text.get_text() for text in figure.texts]
+    assert ("no bird has a finite position and circulation" in words) == (not np.isfinite(value))
 
 
 @pytest.mark.parametrize(

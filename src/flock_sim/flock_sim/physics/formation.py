@@ -78,6 +78,15 @@ def positions_by_gaps(birds: int) -> FloatArray:
     return np.tril(np.ones((birds, birds)), -1)[:, : birds - 1]
 
 
+def middle_position(position: FloatArray) -> float:
+    """Return the position of the bird in the middle of `position`, shape (birds,), one or more.
+
+    For an even number of birds it is the upper one of the middle two. Their mean can be far from
+    every bird if a flock has parted in halves.
+    """
+    return float(np.sort(position)[len(position) // 2])
+
+
 def start_position(bird: int, birds: int) -> float:
     """Return x_i(0) of the start in a V, in b: -|i - n| dy_0 / tan(theta), with the leader at 0.
 

@@ -26,6 +26,15 @@ _NARROWEST = 10.0
 _MOST_NUMBERS = 15
 """Largest number of birds for which each has its number."""
 
+_FARTHEST = 1e9
+"""Largest distance of the view from the leader, in b: rounding moves no bird visibly there."""
+
+_MOST_DIGITS = 1e6
+"""Distance in b from which on a position is written with an exponent."""
+
+_MOST_FIVES = 100.0
+"""Largest range of drag reductions, in %, that has a tick every 5 %."""
+
 _MOST_OUTLINED = 45
 """Largest number of birds for which a dark outline leaves their colour visible."""
 
@@ -49,13 +58,16 @@ class PlanView:
     def of(cls, configuration: FlockConfiguration, metrics: Metrics, m: int) -> PlanView:
         """Return the view of the flock with index `m`.
 
-        If the flock has come apart, the view is around the median bird.
+        If the flock has come apart, the view is around the bird in the middle, or around the start
+        if that bird is too far from the leader.
         """
         birds = configuration.birds
         start = np.array([formation.start_position(bird, birds) for bird in range(1, birds + 1)])
         along = metrics.position[m]
         there = along[np.isfinite(along)]
-        middle = float(np.median(there)) if len(there) else 0.0
+        middle = formation.middle_position(there) if len(there) else 0.0
+        if abs(middle) > _FARTHEST:
+            middle = 0.0
         places = np.append(there, start)
         shown = places[np.abs(places - middle) <= np.ptp(start) + 3.0]
         return cls(
@@ -119,7 +131,8 @@ def draw_formation(figure: Figure, axes: Axes, view: PlanView) -> None:
     bar = figure.colorbar(colours, ax=axes, shrink=0.8, aspect=22, pad=0.015)
     bar.set_label("drag reduction $\\eta_i$ (%)")
     bar.outline.set_visible(False)
-    bar.locator = MultipleLocator(5.0)
+    if np.ptp(colours.get_clim()) <= _MOST_FIVES:
+        bar.locator = MultipleLocator(5.0)
     bar.update_ticks()
 
 
@@ -162,7 +175,7 @@ def _tell_who_left(axes: Axes, view: PlanView, here: npt.NDArray[np.bool_]) -> N
         mark = "v" if behind else "^"
         axes.plot(view.across[i], edge, mark, color=INK, markersize=6, clip_on=False, zorder=5)
         axes.annotate(
-            f"{i + 1} at {view.along[i]:.0f} b".replace("-", "−"),
+            f"{i + 1} at {_distance(view.along[i])} b".replace("-", "−"),
             (view.across[i], edge),
             xytext=(0, 7 if behind else -7),
             textcoords="offset points",
@@ -176,6 +189,10 @@ def _tell_who_left(axes: Axes, view: PlanView, here: npt.NDArray[np.bool_]) -> N
         lost = ", ".join(str(i + 1) for i in np.flatnonzero(~known))
         text = f"without a finite position: {lost}" if known.any() else "no finite position"
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center")
+
+
+def _distance(along: float) -> str:
+    return f"{along:.0f}" if abs(along) < _MOST_DIGITS else f"{along:.3g}"
 
 
 def _explain(axes: Axes, start: bool) -> None:

@@ -59,7 +59,9 @@ def scene_of(run: Run, time: float | None, m: int) -> Scene:
 
 
 def draw_scene(shown: Scene) -> Figure:
-    """Return the picture of a scene."""
+    """Return the picture of a scene. Without a bird, it says so."""
+    if not shown.snapshot.known.any():
+        return _empty(shown)
     groups = {
         name: [shape for shape in shown.shapes if shape.group == name]
         for name in ("upwash", "wakes", "trails", "birds", "labels")
@@ -89,6 +91,15 @@ def draw_scene(shown: Scene) -> Figure:
         _bar(figure, 0.07, saved, "drag reduction $\\eta_i$ (%)")
         air = ScalarMappable(Normalize(-shown.most_upwash, shown.most_upwash), UPWASH)
         _bar(figure, 0.57, air, "upward air speed (m/s)")
+    return figure
+
+
+def _empty(shown: Scene) -> Figure:
+    """Return the picture of a flock of which no bird can be drawn."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 2.0))
+        figure.text(0.02, 0.92, _title(shown.snapshot), va="top", fontsize=10)
+        figure.text(0.5, 0.4, "no bird has a finite position and circulation", ha="center")
     return figure
 
 
@@ -156,7 +167,8 @@ def _draw_faces(axes: Axes, camera: Camera, shapes: Sequence[Shape]) -> None:
 def _draw_trail(axes: Axes, camera: Camera, trail: Shape, plane: Sequence[Shape]) -> None:
     """Draw the part of a trail that is in front of the plane."""
     ends = np.stack([trail.points[:-1], trail.points[1:]], axis=1)
-    front = (ends[..., 0] > max(shape.points[0, 0] for shape in plane)).all(axis=1)
+    behind = max((float(shape.points[0, 0]) for shape in plane), default=-np.inf)
+    front = (ends[..., 0] > behind).all(axis=1)
     seen, _ = camera.see(ends[front])
     axes.add_collection(LineCollection(list(seen), colors=trail.colours[1:][front], linewidths=0.9))
 

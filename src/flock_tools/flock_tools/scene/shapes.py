@@ -93,7 +93,9 @@ def scene(snapshot: Snapshot, trail: Sequence[FloatArray] = ()) -> Scene:
     shapes += _ribbons(snapshot, air, plane.position, scale)
     shapes.append(_plane(plane, metre, scale))
     shapes += _legends(snapshot, most * speed)
-    return Scene(snapshot, shapes, (speed * plane.upwash).astype(np.float32), most * speed)
+    with np.errstate(over="ignore"):  # a diverged flock: numbers beyond float32 become infinite
+        upwash = (speed * plane.upwash).astype(np.float32)
+    return Scene(snapshot, shapes, upwash, most * speed)
 
 
 def in_metres(point: FloatArray, metre: float) -> FloatArray:

@@ -15,6 +15,9 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 
+FARTHEST = 1e9
+"""Largest distance of a bird from the origin that is drawn, in b. Rounding is invisible there."""
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -44,20 +47,28 @@ class Snapshot:
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
-        """Which birds have a finite position and circulation."""
+        """Which birds can be drawn: position and circulation are finite, and it is not too far."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self._finite & (np.abs(self.along) <= FARTHEST)
+
+    @property
+    def _finite(self) -> npt.NDArray[np.bool_]:
         return np.isfinite(self.state.position) & np.isfinite(self.state.circulation)
 
     @property
     def origin(self) -> float:
         """Origin of the frame, in b along the flight: the position of the leader.
 
-        If the leader is not `known`, the median of the birds that are; 0 if none is.
+        If its state is not finite, the position of the bird in the middle of those whose state is;
+        0 if there is none.
         """
-        position, known = self.state.position, self.known
+        position, finite = self.state.position, self._finite
         leader = formation.leader(len(position)) - 1
-        if not known.any():
+        if not finite.any():
             return 0.0
-        return float(position[leader] if known[leader] else np.median(position[known]))
+        if finite[leader]:
+            return float(position[leader])
+        return formation.middle_position(position[finite])
 
     @property
     def along(self) -> FloatArray:

@@ -13,7 +13,7 @@ from math import pi
 import numpy as np
 
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.physics.formation import VORTEX_FRACTION
+from flock_sim.physics.formation import VORTEX_FRACTION, middle_position
 from flock_sim.physics.upwash import flock_upwash
 
 ALONG = np.array([0.0, 0.04, 0.1, 0.2, 0.4, 0.7, 1.0])
@@ -122,8 +122,7 @@ def plane(vortices: Vortices) -> Plane:
     """
     position, lateral = vortices.position, vortices.lateral
     extent = float(np.ptp(lateral))
-    near = np.abs(position - np.median(position)) <= extent + 3.0
-    there = position[near] if near.any() else position
+    there = position[np.abs(position - middle_position(position)) <= extent + 3.0]
     left = float((lateral - vortices.span_ratio).min()) - 1.0
     right = float((lateral + vortices.span_ratio).max()) + 1.0
     height = 2.0 * PLANE_HEIGHT / PLANE_ROWS
