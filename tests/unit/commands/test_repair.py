@@ -3,9 +3,11 @@
 
 import os
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from flock_sim.bag.reading.reader import BagReader
@@ -90,6 +92,46 @@ def test_a_single_file_is_repaired_beside_its_bag(
     assert text.splitlines()[-1] == (
         f"{len(messages(flight))} intact messages are in {tmp_path / 'torn-repaired'}"
     )
+
+
+@pytest.mark.parametrize("named", [".", "FILE"])
+def test_a_bag_is_repaired_from_within_its_directory(
+    flight: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    named: str,
+) -> None:
+    run = torn(flight, tmp_path / "torn", next(flight.glob("*.mcap")).stat().st_size - 40)
+    monkeypatch.chdir(run)
+    found = json_of(tool, capsys, "torn_0.mcap" if named == "FILE" else named)
+    assert found["output"] == str(tmp_path / "torn-repaired")
+    assert messages(tmp_path / "torn-repaired") == messages(flight)
+    (run / "inner").mkdir()
+    monkeypatch.chdir(run / "inner")
+    assert json_of(tool, capsys, "..", "--force")["output"] == str(tmp_path / "torn-repaired")
+
+
+def test_whole_messages_of_a_chunk_that_is_cut_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole_bag = record(tmp_path / "run", replace(CONFIGURATION, t_max=4000.0))
+    whole = messages(whole_bag)
+    (file,) = whole_bag.glob("*.mcap")
+    with file.open("rb") as opened:
+        last = make_reader(opened).get_summary().chunk_indexes[-1]
+    within = last.chunk_start_offset + int(0.9 * last.chunk_length)
+    before = sum(1 for _ in messages(torn(whole_bag, tmp_path / "cut", within)))
+    found = json_of(tool, capsys, str(tmp_path / "cut"))
+    kept = messages(tmp_path / "cut-repaired")
+    assert kept == whole[: len(kept)]
+    # Blocks of zstd have up to 128 KB, of which the last is not whole.
+    assert len(kept) - before > 0.5 * (len(whole) - before)
+    assert f"the {len(kept) - before} whole messages at the beginning of" in found["cut"]
+    assert found["messages"] == len(kept)
+    with Run(tmp_path / "cut-repaired") as run:
+        assert 3 * run.at().step > 0.9 * before
+        assert run.missing is not None
 
 
 def test_what_is_complete_is_left_alone(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -92,6 +92,46 @@ def read_chunk(fd: int, place: ChunkPlace) -> bytes:
     if frame != (Opcode.CHUNK, place.length - FRAME.size):
         raise DamagedError("there is no chunk")
     content = read_content(fd, place.offset, place.length - FRAME.size)
+    head = _chunk_head(content)
+    if head.data_at + head.length > len(content):
+        raise DamagedError("its data is cut short")
+    data = content[head.data_at : head.data_at + head.length]
+    body = _decompress(data, head.compression, head.size)
+    if head.crc and zlib.crc32(body) != head.crc:
+        raise DamagedError("its CRC does not match")
+    return body
+
+
+def read_cut_chunk(fd: int, offset: int) -> bytes:
+    """Read the whole records of a chunk that the end of the file cuts; empty without such a chunk.
+
+    No CRC covers them, but the bytes before the cut are those that were written: blocks of the
+    compression that are not whole are left out.
+    """
+    frame = read_frame(fd, offset)
+    there = os.fstat(fd).st_size - offset - FRAME.size
+    if frame is None or frame[0] != Opcode.CHUNK or frame[1] <= there:
+        return b""
+    content = os.pread(fd, there, offset + FRAME.size)
+    try:
+        head = _chunk_head(content)
+    except DamagedError:
+        return b""
+    if head.data_at + head.length <= len(content):
+        return b""  # its data is all there: the length of its frame is damaged
+    return _whole_records(_decompress_start(content[head.data_at :], head))
+
+
+class _ChunkHead(NamedTuple):
+    size: int  # bytes, of the records
+    crc: int
+    compression: str
+    data_at: int  # bytes, from the content's beginning
+    length: int  # bytes, of the compressed data
+
+
+def _chunk_head(content: bytes) -> _ChunkHead:
+    """Return the fields before the data of a chunk; raises DamagedError."""
     try:
         _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
         data_at = _CHUNK_HEAD.size + name_length + _LENGTH.size
@@ -99,12 +139,35 @@ def read_chunk(fd: int, place: ChunkPlace) -> bytes:
         (length,) = _LENGTH.unpack_from(content, data_at - _LENGTH.size)
     except (struct.error, ValueError) as error:
         raise DamagedError(f"its head does not parse: {error}") from error
-    if data_at + length > len(content):
-        raise DamagedError("its data is cut short")
-    body = _decompress(content[data_at : data_at + length], compression, size)
-    if crc and zlib.crc32(body) != crc:
-        raise DamagedError("its CRC does not match")
-    return body
+    return _ChunkHead(size, crc, compression, data_at, length)
+
+
+def _decompress_start(data: bytes, head: _ChunkHead) -> bytes:
+    """Return what the beginning `data` of compressed data gives, at most `head.size` bytes."""
+    pieces: list[bytes] = []
+    try:
+        if head.compression == "zstd":
+            reader = zstandard.ZstdDecompressor().stream_reader(data)
+            while sum(map(len, pieces)) < head.size and (piece := reader.read(CRC_BLOCK)):
+                pieces.append(piece)
+        elif head.compression == "lz4":
+            pieces.append(lz4.frame.LZ4FrameDecompressor().decompress(data, head.size))
+        elif head.compression == "":
+            pieces.append(data)
+    except (zstandard.ZstdError, RuntimeError, MemoryError):
+        pass  # the pieces before are whole
+    return b"".join(pieces)[: head.size]
+
+
+def _whole_records(body: bytes) -> bytes:
+    """Return the beginning of `body` up to the last record that is whole."""
+    end = 0
+    while end + FRAME.size <= len(body):
+        after = end + FRAME.size + FRAME.unpack_from(body, end)[1]
+        if after > len(body):
+            break
+        end = after
+    return body[:end]
 
 
 def _decompress(data: bytes, compression: str, size: int) -> bytes:

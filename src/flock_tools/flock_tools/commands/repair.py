@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Write a valid bag from a damaged one: the recorder was killed, the disk was full, the end is
 missing, or bytes anywhere are damaged. The new bag has all intact messages, also those after a
-damaged place, a summary and metadata.yaml. Invalid perturbations are left out. The damaged bag is
-not changed. ./flock fly --resume flies the steps that the new bag lacks.
+damaged place and those before a cut in the last chunk, a summary and metadata.yaml. Invalid
+perturbations are left out. The damaged bag is not changed. ./flock fly --resume flies the steps
+that the new bag lacks.
 Exit status: 0 repaired, or nothing to repair; 2 not a bag of Flock, or no intact message in it."""
 
 EXAMPLES = """\
@@ -36,6 +37,8 @@ class Damage:
     """Description of what the bag lacks at its end; None: nothing."""
     broken: str | None
     """Description of the damaged places; None: all of the bag can be read."""
+    cut: str | None
+    """Description of the chunk that the end of the file cuts, if it has whole messages."""
     messages: int
     """Number of intact messages in the whole bag."""
     invalid: int
@@ -60,15 +63,23 @@ def examine(run: Run) -> Damage:
         check_topics(run.bag, run.configuration)
     check_grants(run.bag, run.configuration, run.real_time_factor)
     broken: list[str] = []
+    cut: list[str] = []
     pushes, steps = _Pushes(run.configuration), _Steps(run.configuration)
     messages = invalid = 0
-    for topic, _, data in run.bag.salvage(broken):
+    for topic, _, data in run.bag.salvage(broken, cut):
         messages += 1
         invalid += not pushes.take(topic, data)
         steps.take(topic, data)
     if broken and not pushes.numbers and run.bag.last_time is not None:
         steps.end(run.bag.last_time)  # perturbations may have a later time than the last step
-    return Damage(run.bag.missing, "; ".join(broken) or None, messages, invalid, steps.missing)
+    return Damage(
+        run.bag.missing,
+        "; ".join(broken) or None,
+        "; ".join(cut) or None,
+        messages,
+        invalid,
+        steps.missing,
+    )
 
 
 class _Pushes:
@@ -166,7 +177,7 @@ def rewrite(run: Run, output: Path, *, replace: bool = False) -> int:
     ) as whole:
         try:
             add_birds(whole.bag, run.own_parts)
-            for topic, log_time, data in run.bag.salvage([]):
+            for topic, log_time, data in run.bag.salvage([], []):
                 if pushes.take(topic, data):
                     try:
                         whole.write(topic, log_time, data)
@@ -195,7 +206,7 @@ def tool(arguments: Sequence[str]) -> int:
     from flock_sim.recording.run import Run
 
     directory = options.run if options.run.is_dir() else options.run.parent
-    output = options.output or directory.with_name(f"{directory.resolve().name}-repaired")
+    output = options.output or _beside(directory)
     with Run(options.run) as run:
         damage = examine(run)
         if damage.any and damage.messages == 0:
@@ -209,6 +220,7 @@ def tool(arguments: Sequence[str]) -> int:
         "output": str(output) if damage.any else None,
         "missing": damage.missing,
         "broken": damage.broken,
+        "cut": damage.cut,
         "missing_steps": damage.missing_steps,
         "messages": damage.messages - foreign - damage.invalid,
         "left_out": foreign,
@@ -235,7 +247,17 @@ def described(facts: Mapping[str, Any]) -> str:
     if facts["left_out"]:
         lines.append(f"{facts['left_out']} messages on topics that Flock does not use are left out")
     lines.append(f"{facts['messages']} intact messages are in {facts['output']}")
+    if facts["cut"]:
+        lines.append(facts["cut"])
     return "\n".join(lines)
+
+
+def _beside(directory: Path) -> Path:
+    """Return the directory of the new bag beside `directory`, which may be `.` or `..`."""
+    whole = directory.resolve()
+    return (directory if directory.name not in ("", "..") else whole).with_name(
+        f"{whole.name}-repaired"
+    )
 
 
 def main() -> int:

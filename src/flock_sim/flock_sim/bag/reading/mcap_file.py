@@ -22,6 +22,7 @@ from flock_sim.bag.records import (
     messages_in,
     read_chunk,
     read_content,
+    read_cut_chunk,
     read_frame,
 )
 from flock_sim.bag.salvage import sound_chunks
@@ -151,20 +152,38 @@ class McapFile:
         except OSError as error:
             raise FlockError(f"{self.path} can't be read: {error.strerror}") from error
 
-    def salvage(self, broken: list[str]) -> Iterator[Recorded]:
-        """Yield the messages of all sound chunks; add a line to `broken` for each damaged place."""
+    def salvage(self, broken: list[str], cut: list[str] | None = None) -> Iterator[Recorded]:
+        """Yield the messages of all sound chunks; add a line to `broken` for each damaged place.
+
+        With `cut`, also yield the messages before the cut in a chunk that the end of the file cuts,
+        and add a line on it to `cut`.
+        """
         try:
-            yield from self._salvaged_loose(broken) if self._loose else self._salvaged(broken)
+            yield from self._salvaged_loose(broken) if self._loose else self._salvaged(broken, cut)
         except OSError as error:
             raise FlockError(f"{self.path} can't be read: {error.strerror}") from error
 
-    def _salvaged(self, broken: list[str]) -> Iterator[Recorded]:
+    def _salvaged(self, broken: list[str], cut: list[str] | None) -> Iterator[Recorded]:
         fd = self._file.fileno()
         for chunk in sound_chunks(fd, len(MAGIC)):
             # `missing` reports a torn end.
-            if chunk.damage is not None and (chunk.body or has_end(fd)):
+            torn = chunk.damage is not None and not (chunk.body or has_end(fd))
+            if chunk.damage is not None and not torn:
                 broken.append(f"{self.path} is damaged at byte {chunk.damage}")
             yield from messages_in(chunk.body, self._topic_of, 0, _FOREVER)
+            if torn and chunk.damage is not None and cut is not None:
+                yield from self._salvaged_cut(chunk.damage, cut)
+
+    def _salvaged_cut(self, offset: int, cut: list[str]) -> Iterator[Recorded]:
+        """Salvage the chunk at byte `offset`, which the end of the file cuts."""
+        body = read_cut_chunk(self._file.fileno(), offset)
+        found = list(messages_in(body, self._topic_of, 0, _FOREVER))
+        if found:
+            cut.append(
+                f"among them are the {len(found)} whole messages at the beginning of the chunk at"
+                f" byte {offset} of {self.path.name}, which is cut"
+            )
+        yield from found
 
     def _salvaged_loose(self, broken: list[str]) -> Iterator[Recorded]:
         """Salvage a file with messages outside of chunks, which look the same as damage."""

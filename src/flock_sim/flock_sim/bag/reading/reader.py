@@ -133,13 +133,15 @@ class BagReader:
                 f"{self.path} is damaged ({error}): take another copy of the bag"
             ) from error
 
-    def salvage(self, broken: list[str]) -> Iterator[Recorded]:
+    def salvage(self, broken: list[str], cut: list[str] | None = None) -> Iterator[Recorded]:
         """Yield messages as `messages` does, of all chunks with a correct CRC, also after damage.
 
-        It reads the whole bag, and adds a line to `broken` for each damaged place.
+        It reads the whole bag, and adds a line to `broken` for each damaged place. With `cut`, it
+        also yields the whole messages of a chunk that the end of a file cuts, to which no CRC
+        applies, and adds a line to `cut` for each such chunk.
         """
         for file in self._files:
-            messages = file.salvage(broken)
+            messages = file.salvage(broken, cut)
             yield from self._salvaged(messages, broken) if self._packed else messages
             if not broken and not file.crc_fits():
                 broken.append(
