@@ -100,6 +100,39 @@ def test_a_flight_that_ends_earlier_is_not_equal_and_it_says_so(
     assert "lacks 55 state messages, its last complete step is 18" in capsys.readouterr().out
 
 
+def test_states_are_compared_at_equal_times_whatever_the_time_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = FlockConfiguration(birds=3, t_max=40.0, dt=0.25, record_every=4)
+    fine = record(tmp_path / "fine", flown)
+    coarse = record(tmp_path / "coarse", replace(flown, dt=0.5, record_every=2))
+    sparse = record(tmp_path / "sparse", replace(flown, dt=0.5, record_every=4))
+    result = compared(fine, coarse)
+    assert result.messages == 3 * 41
+    assert result.missing == [0, 0]
+    with Run(fine) as one, Run(coarse) as other:
+        pairs = list(zip(one.snapshots(), other.snapshots(), strict=True))
+    for name, gap in result.max_difference.items():
+        far = max(np.abs(getattr(a, name) - getattr(b, name)).max() for a, b in pairs)
+        assert gap == far < 1e-9
+    assert run_tool(tool, [str(fine), str(sparse)]) == 1
+    told = capsys.readouterr().out
+    assert "the first difference is at step 4 (t = 1), bird 1: only the first run" in told
+    assert f"{sparse} lacks 60 state messages" in told
+
+
+def test_flocks_of_other_members_have_no_values_to_compare(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = record(tmp_path / "alone", replace(CONFIGURATION, span_ratios=()))
+    assert run_tool(tool, [str(alone), str(flight)]) == 1
+    told = capsys.readouterr().out
+    assert "position of 1 and 3 members" in told
+    assert "no values are compared: the runs have 1 and 3 members" in told
+    assert "largest differences" not in told
+    assert set(compared(alone, flight).as_json()["max_difference"].values()) == {None}
+
+
 def test_a_torn_bag_is_compared_as_far_as_it_is_whole(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,7 +91,10 @@ def told(result: Comparison, first: Run, second: Run, tolerance: float | None) -
         lines.append(f"  ... and {len(result.wings) - len(shown)} more wings")
     if result.state is not None:
         lines.append(f"  the first difference is at {_place(result.state)}: {_state(result.state)}")
-    if result.different:
+    if result.different and not result.comparable:
+        flocks = f"{first.configuration.members} and {second.configuration.members}"
+        lines.append(f"  no values are compared: the runs have {flocks} members")
+    elif result.different:
         gaps = ", ".join(f"{name} {gap:.3g}" for name, gap in result.max_difference.items())
         lines.append(f"  {result.different} of {result.messages} state messages differ")
         lines.append(f"  largest differences: {gaps}")
@@ -133,6 +136,8 @@ def _state(difference: Difference) -> str:
 def _values(difference: Difference) -> str:
     first, second = difference.values
     gap, bits = difference.distance, difference.bits
+    if isinstance(first, list) and isinstance(second, list) and difference.kind == "state":
+        return f"of {len(first)} and {len(second)} members"
     if gap is None or bits is None:
         return f"{first} and {second}"
     if gap > 0.0:

@@ -21,11 +21,14 @@ from flock_sim.messages.types import ARRAYS, BILLION, State
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
-from flock_tools.runs.pairing import pairs
+from flock_tools.runs.pairing import Ticks, by_step, pairs
 from flock_tools.runs.verified_states import VerifiedStates
 
 BLOCK = 2048
 """Number of pairs of states that are compared at once."""
+
+SAME_TIME = 1e-6
+"""Distance in time below which two states are of the same time, in the shorter time step."""
 
 
 Unlike = tuple[str, int | None, tuple[object, object]]
@@ -39,15 +42,20 @@ class Comparison:
     configuration: list[Difference] = field(default_factory=list)
     wings: list[Difference] = field(default_factory=list)
     state: Difference | None = None
-    """The earliest difference between states; within a step, that of the lowest bird."""
+    """The earliest difference between states; at one time, that of the lowest bird."""
     messages: int = 0
     """Number of state messages that both runs have."""
+    comparable: int = 0
+    """Number of those that have the same number of members in both runs."""
     different: int = 0
     """Number of those that differ, by more than the tolerance if one is given."""
     missing: list[int] = field(default_factory=lambda: [0, 0])
     """For each run: the number of state messages that only the other run has."""
     max_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(ARRAYS, 0.0))
-    """Largest absolute difference of each field; inf if one value is nan or infinite."""
+    """Largest absolute difference of each field; inf if one value is nan or infinite.
+
+    It has no meaning if no message is `comparable`.
+    """
 
     @property
     def first_difference(self) -> Difference | None:
@@ -60,13 +68,13 @@ class Comparison:
         return self.first_difference is None
 
     def as_json(self) -> dict[str, object]:
-        """Return plain values; an infinite difference becomes None, since JSON has no inf."""
+        """Return plain values; an infinite or unknown difference becomes None for JSON."""
         return {
             "equal": self.equal,
             "messages": self.messages,
             "first_difference": _json(self.first_difference),
             "max_difference": {
-                name: value if np.isfinite(value) else None
+                name: value if self.comparable and np.isfinite(value) else None
                 for name, value in self.max_difference.items()
             },
             "first_state_difference": _json(self.state),
@@ -74,11 +82,6 @@ class Comparison:
             "different_messages": self.different,
             "missing_messages": self.missing,
         }
-
-    def note(self, difference: Difference) -> None:
-        """Register a difference between states. The earliest is kept."""
-        if self.state is None or difference.place < self.state.place:
-            self.state = difference
 
 
 def compare(
@@ -91,20 +94,25 @@ def compare(
 
     Run ids, grants, clock and diagnostics are not compared, because they only describe how the
     flock was flown. Perturbations requested in flight are not compared either, because states show
-    their effect. `show` is called at intervals with the step reached. Memory is bounded.
+    their effect. States of a bird are compared at equal times. `show` is called at intervals with
+    the step reached. Memory is bounded.
 
     Raises FlockError if a bag can't be read, or its states do not have the digest in it.
     """
     result = Comparison(list(_configurations(first, second)), list(_wings(first, second)))
     birds = range(1, max(run.configuration.birds for run in (first, second)) + 1)
-    states = _States(result, tolerance, (first, second), {topics.state_topic(b): b for b in birds})
+    bird_of = {topics.state_topic(bird): bird for bird in birds}
+    ticks = _ticks(first.configuration, second.configuration)
+    states = _States(result, tolerance, (first, second), bird_of, ticks)
     verified = VerifiedStates(first), VerifiedStates(second)
-    for topic, left, right in pairs(*verified, list(states.bird_of)):
+    for topic, left, right in pairs(*verified, list(states.bird_of), ticks=ticks):
         if left is None or right is None:
             states.miss(topic, left, right)
             continue
         result.messages += 1
-        if left != right:
+        if left == right:
+            result.comparable += 1
+        else:
             states.compare(topic, left, right)
         if result.messages % BLOCK == 0:
             show(step_of(left))
@@ -120,6 +128,17 @@ def compare(
     return result
 
 
+def _ticks(first: FlockConfiguration, second: FlockConfiguration) -> Ticks:
+    """Return the times of the steps of two flights, for `pairs`."""
+    if first.dt == second.dt:
+        return by_step, by_step
+    unit = SAME_TIME * min(first.dt, second.dt)
+    return (
+        lambda step: round(first.time(step) / unit),
+        lambda step: round(second.time(step) / unit),
+    )
+
+
 class _States:
     """Compares pairs of states of different bytes, many at once if their layouts are equal."""
 
@@ -129,11 +148,14 @@ class _States:
         tolerance: float | None,
         runs: Sequence[Run],
         bird_of: Mapping[str, int],
+        ticks: Ticks,
     ) -> None:
         self.bird_of = bird_of
         self._result = result
         self._tolerance = tolerance
         self._runs = runs
+        self._ticks = ticks
+        self._earliest: tuple[int, int] | None = None  # time and bird of the result's state
         self._block: list[tuple[str, bytes, bytes]] = []
         self._members = 0  # of the states in the block
 
@@ -142,10 +164,9 @@ class _States:
         lacks = 0 if left is None else 1
         data = left or right or b""
         self._result.missing[lacks] += 1
-        earliest = self._result.state
-        if earliest is None or self._place(topic, data) < earliest.place:
+        if self._is_earliest(1 - lacks, topic, step_of(data)):
             state = self._runs[1 - lacks].decode(topic, data)
-            self._note("missing", topic, state, None, (lacks == 1, lacks == 0))
+            self._note("missing", topic, state, None, (lacks == 1, lacks == 0), side=1 - lacks)
 
     def compare(self, topic: str, left: bytes, right: bytes) -> None:
         """Compare two states of one bird at one step. Raises FlockError if one is no state."""
@@ -155,11 +176,14 @@ class _States:
                 self.finish()
                 self._members = members
             self._block.append((topic, left, right))
+            self._result.comparable += 1
             return
         one, other = (
             run.decode(topic, data) for run, data in zip(self._runs, (left, right), strict=True)
         )
-        unlike = [*_unlike_heads(one, other), *self._unlike_arrays(one, other)]
+        self._result.comparable += len(one.position) == len(other.position)
+        heads = _unlike_heads(one, other) if self._ticks[0] is by_step else ()
+        unlike = [*heads, *self._unlike_arrays(one, other)]
         if unlike:
             self._result.different += 1
             name, member, pair = unlike[0]
@@ -203,8 +227,10 @@ class _States:
         largest[name] = max(largest[name], float(gap.max(initial=0.0)))
         return other_bits(first, second) if self._tolerance is None else gap > self._tolerance
 
-    def _place(self, topic: str, state: bytes) -> tuple[int, int]:
-        return step_of(state), self.bird_of[topic]
+    def _is_earliest(self, side: int, topic: str, step: int) -> bool:
+        """Return whether no earlier difference is registered. `step` is one of the run `side`."""
+        place = self._ticks[side](step), self.bird_of[topic]
+        return self._earliest is None or place < self._earliest
 
     def _note(
         self,
@@ -214,10 +240,15 @@ class _States:
         name: str | None,
         values: tuple[object, object],
         member: int | None = None,
+        side: int = 0,
     ) -> None:
+        """Register a difference at a state of the run `side`. The earliest is kept."""
+        if not self._is_earliest(side, topic, state.step):
+            return
         bird = self.bird_of[topic]
-        self._result.note(
-            Difference(kind, values, name, topic, bird, state.step, state.time, member)
+        self._earliest = self._ticks[side](state.step), bird
+        self._result.state = Difference(
+            kind, values, name, topic, bird, state.step, state.time, member
         )
 
 

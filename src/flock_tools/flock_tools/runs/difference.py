@@ -31,11 +31,6 @@ class Difference:
     member: int | None = None  # from 1
 
     @property
-    def place(self) -> tuple[int, int]:
-        """Step and bird, by which differences are ordered."""
-        return (-1 if self.step is None else self.step, self.bird or 0)
-
-    @property
     def distance(self) -> float | None:
         """The absolute difference of two floats; None for other values."""
         first, second = self.values

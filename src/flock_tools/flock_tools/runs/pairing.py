@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs the messages of two bags: states of the same bird at the same step."""
+"""Pairs the messages of two bags: states of the same bird at the same time."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -31,30 +31,43 @@ class States(Protocol):
 
 Pair = tuple[str, bytes | None, bytes | None]
 
+Ticks = tuple[Callable[[int], int], Callable[[int], int]]
+"""For each bag: the time of a step, as a number that is equal for equal times in both bags."""
+
+
+def by_step(step: int) -> int:
+    """Return the time of a step if steps are equally long in both bags."""
+    return step
+
 
 class TooFarApartError(Exception):
     """The orders of messages in the bags differ so much that the queues would be too large."""
 
 
 def pairs(
-    first: States, second: States, topics: list[str], limit: int = MOST_WAITING
+    first: States,
+    second: States,
+    topics: list[str],
+    limit: int = MOST_WAITING,
+    ticks: Ticks = (by_step, by_step),
 ) -> Iterator[Pair]:
     """Yield (topic, state in `first`, state in `second`), serialised; None for a missing state.
 
-    Bags may interleave their topics in any way; the steps of one topic ascend. Memory is bounded:
-    if more than `limit` bytes would wait, the rest is read topic by topic.
+    States of a bird are a pair if `ticks` gives them the same time. Bags may interleave their
+    topics in any way; the steps of one topic ascend. Memory is bounded: if more than `limit` bytes
+    would wait, the rest is read topic by topic.
 
     Raises FlockError on a message that is no state.
     """
     given = dict.fromkeys(topics, 0)
     try:
-        for pair in _Merge(first, second, topics, limit).pairs():
+        for pair in _Merge(first, second, topics, limit, ticks).pairs():
             given[pair[0]] += 1
             yield pair
     except TooFarApartError:
         for topic in topics:
             # The pairs of one topic have the same order in both passes.
-            for number, pair in enumerate(_Merge(first, second, [topic], None).pairs()):
+            for number, pair in enumerate(_Merge(first, second, [topic], None, ticks).pairs()):
                 if number >= given[topic]:
                     yield pair
 
@@ -62,8 +75,16 @@ def pairs(
 class _Merge:
     """One pass over both bags. It reads the bag that is behind."""
 
-    def __init__(self, first: States, second: States, topics: list[str], limit: int | None) -> None:
+    def __init__(
+        self,
+        first: States,
+        second: States,
+        topics: list[str],
+        limit: int | None,
+        ticks: Ticks,
+    ) -> None:
         self._bags = (first, second)
+        self._ticks = ticks
         self._sources = tuple(bag.messages(topics) for bag in self._bags)
         self._queues: dict[str, tuple[deque[bytes], deque[bytes]]] = {
             topic: (deque(), deque()) for topic in topics
@@ -115,7 +136,7 @@ class _Merge:
         left, right = self._queues[topic]
         while left or right:
             if left and right:
-                ahead = self._step(0, topic, left[0]) - self._step(1, topic, right[0])
+                ahead = self._time(0, topic, left[0]) - self._time(1, topic, right[0])
                 yield topic, self._pop(0, left, ahead <= 0), self._pop(1, right, ahead >= 0)
             elif self._ended[1 if left else 0]:
                 yield topic, self._pop(0, left, bool(left)), self._pop(1, right, bool(right))
@@ -129,9 +150,9 @@ class _Merge:
         self._waiting[side] -= len(data)
         return data
 
-    def _step(self, side: int, topic: str, data: bytes) -> int:
+    def _time(self, side: int, topic: str, data: bytes) -> int:
         try:
-            return step_of(data)
+            return self._ticks[side](step_of(data))
         except ValueError as error:
             raise FlockError(
                 f"{self._bags[side].path}: {topic}: {error}; take another copy of the bag"
