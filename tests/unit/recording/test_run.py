@@ -3,6 +3,7 @@
 
 import gc
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -105,6 +106,14 @@ def test_a_bag_that_was_torn_off_gives_what_is_whole(
 def test_a_time_that_was_not_recorded_is_refused(flight: Path, time: float, opened: Open) -> None:
     with pytest.raises(FlockError, match="time"):
         opened(flight).at(time)
+
+
+def test_the_time_that_was_asked_for_is_named_with_all_its_digits(
+    flight: Path, opened: Open
+) -> None:
+    for time in ("64.0000001", "1e+300", "-3", "123456789"):
+        with pytest.raises(FlockError, match=f"time {re.escape(time)}: not recorded"):
+            opened(flight).at(float(time))
 
 
 def test_decimal_times_are_found_in_spite_of_their_rounding(tmp_path: Path, opened: Open) -> None:

@@ -231,15 +231,18 @@ class Run:
         every = configuration.record_every * configuration.dt
         if not np.isfinite(time):
             raise FlockError(f"time {time}: must be finite; leave it out for the last recorded one")
-        time = min(max(time, -every), configuration.t_max + every)  # beyond, there are no stamps
-        step = round(time / every) * configuration.record_every
+        within = min(max(time, -every), configuration.t_max + every)  # beyond, there are no stamps
+        step = round(within / every) * configuration.record_every
         if abs(configuration.time(step) - time) <= 1e-9 * max(every, abs(time)):
             for snapshot in self.snapshots(configuration.stamp(step)):
                 if snapshot.step == step:
                     return snapshot
                 break
         last = self._last().time
-        raise FlockError(f"time {time:g}: not recorded; multiples of {every:g} up to {last:g} are")
+        asked = repr(float(time)).removesuffix(".0")
+        raise FlockError(
+            f"time {asked}: not recorded; multiples of {every:.12g} up to {last:.12g} are"
+        )
 
     def metrics(self, time: float | None = None) -> Metrics:
         """Return the metrics at `time` in b / U_min; at the last recorded step if None."""

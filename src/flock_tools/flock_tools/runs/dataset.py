@@ -78,7 +78,7 @@ def read(
     if first > last:
         raise FlockError(
             f"{run.path}: no time from {start} to {end} was recorded; "
-            f"multiples of {interval:g} up to {run.at().time:g} are"
+            f"multiples of {interval:.12g} up to {run.at().time:.12g} are"
         )
     rows = range(first, last + 1, stride)
     times = [configuration.time(row * every) for row in rows]
