@@ -238,6 +238,7 @@ def test_the_last_step_is_among_few_that_are_recorded(steps: int, every: int) ->
         ({"dt": {"from": 1, "to": 2}}, {}, ["'count' is missing"]),
         ({"dt": {"from": 1, "to": 2, "cuont": 2}}, {}, ["'cuont'", "did you mean 'count'"]),
         ({"dt": {"from": 1, "to": 2, "count": 0}}, {}, ["count 0", "1..100000"]),
+        ({"t_max": {"from": 100, "to": 1000, "count": 1}}, {}, ["count 1", "100 and 1000"]),
         ({"dt": [1.0]}, {"bird": 3}, ["unknown parameter 'bird'", "did you mean 'birds'"]),
         ({"dt": [1.0]}, {"span_ratios": ["2=1,1.1"]}, ["2 members", "one value of each"]),
         ({"dt": [1.0]}, {"links": ["hold:delay=1/2/3"]}, ["3 members", "one value of each"]),
@@ -393,6 +394,22 @@ def test_a_dataset_survives_netcdf_with_names_and_units_and_can_be_drawn(
     figure = draw_sweep(found, swept)
     figure.savefig(tmp_path / "sweep.png")
     assert len(figure.axes) >= 2
+
+
+def test_curves_and_maps_are_drawn_over_ascending_values(tmp_path: Path) -> None:
+    given = {"span_ratio[2]": [1.0, 0.9, 1.1, 0.8]}
+    swept = asked(given)
+    found = flown(swept, tmp_path / "one")
+    curve = draw_sweep(found, swept).axes[1].lines[0]
+    assert curve.get_xdata().tolist() == [0.8, 0.9, 1.0, 1.1]
+    assert curve.get_ydata().tolist() == found.mean_spacing.values[[3, 1, 0, 2]].tolist()
+    swept = asked({"position[1]": [0.0, -0.25], **given})
+    found = flown(swept, tmp_path / "two")
+    cells = draw_sweep(found, swept).axes[1]
+    assert [label.get_text() for label in cells.get_xticklabels()] == ["0.8", "0.9", "1", "1.1"]
+    assert [label.get_text() for label in cells.get_yticklabels()] == ["-0.25", "0"]
+    shown = found.mean_spacing.values[::-1][:, [3, 1, 0, 2]]
+    assert cells.collections[0].get_array().tolist() == shown.tolist()
 
 
 def test_what_is_flown_is_not_flown_again_and_what_is_another_flight_is_refused(

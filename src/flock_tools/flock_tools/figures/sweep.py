@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -36,7 +37,7 @@ def draw_sweep(found: xr.Dataset, sweep: Sweep) -> Figure:
 
     Axes beyond the third are shown at their first value, which the title gives.
     """
-    axes = sweep.axes
+    found, axes = _ascending(found, sweep.axes)
     rest = {axis.dimension: 0 for axis in axes[3:]}
     title = _title(found, axes[3:])
     with mpl.rc_context(PRINT_STYLE):
@@ -48,6 +49,17 @@ def draw_sweep(found: xr.Dataset, sweep: Sweep) -> Figure:
             figure = _panels(found.isel(rest), axes[0], axes[1], axes[2])
         figure.suptitle(title, x=0.01, ha="left", fontsize=8.0)
     return figure
+
+
+def _ascending(found: xr.Dataset, axes: Sequence[Axis]) -> tuple[xr.Dataset, list[Axis]]:
+    """Return results and axes with the numbers of the drawn axes in ascending order."""
+    ordered = list(axes)
+    for k, axis in enumerate(axes[:3]):
+        if not isinstance(axis.values[0], str):
+            order = np.argsort(np.array(axis.values, dtype=float))
+            found = found.isel({axis.dimension: order})
+            ordered[k] = replace(axis, values=tuple(axis.values[at] for at in order))
+    return found, ordered
 
 
 def _title(found: xr.Dataset, first_only: Sequence[Axis]) -> str:

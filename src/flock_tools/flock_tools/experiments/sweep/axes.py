@@ -181,6 +181,10 @@ def _range(called: str, given: Mapping[Any, Any]) -> list[Value]:
         raise FlockError(f"{called}: from {low:g} to {high:g}: must be finite")
     if not (count.is_integer() and 1 <= count <= MOST_VALUES):
         raise FlockError(f"{called}: count {count:g}: must be a whole number, 1..{MOST_VALUES}")
+    if count == 1 and low != high:
+        raise FlockError(
+            f"{called}: count 1: is too few for both {text(low)} and {text(high)}; give 2 or more"
+        )
     return [float(value) for value in np.linspace(low, high, int(count))]
 
 
