@@ -94,6 +94,23 @@ def test_an_interval_without_a_limit_is_told_plainly(capsys: pytest.CaptureFixtu
     assert (inside["lower"], inside["upper"], inside["never"]) == (None, None, False)
 
 
+def test_a_search_that_begins_where_vortices_meet_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flock = ("--birds", "2", "--span-ratio", "1=0.5", "--bird", "2", "--between", "0.2,0.503")
+    picture = ("--output", str(tmp_path / "limits.png"))
+    text = text_of(tool, capsys, *flock, *picture)
+    assert "below 0.500001 " in text
+    assert "bird 2: searched from 0.500001: below it, vortices would meet" in text
+    assert "below 0.2" not in text
+    found = json_of(tool, capsys, *flock)["limits"][0]
+    assert found["lower"] is None
+    assert found["searched"] == [pytest.approx(0.500001, abs=1e-12), 0.503]
+    nothing = ("--birds", "2", "--span-ratio", "1=0.5", "--bird", "2", "--between", "0.2,0.4")
+    assert "bird 2: nothing is searched" in text_of(tool, capsys, *nothing)
+    assert json_of(tool, capsys, *nothing)["limits"][0]["searched"] is None
+
+
 def test_a_flock_that_never_flies_is_told_plainly(capsys: pytest.CaptureFixture[str]) -> None:
     flock = ("--birds", "5", "--span-ratio", "2=0.8", "--bird", "1,5")
     text = text_of(tool, capsys, *flock)

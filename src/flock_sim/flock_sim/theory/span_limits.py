@@ -64,6 +64,14 @@ class Limits:
     tried: tuple[tuple[float, int], ...] = ()
     """Each tried lambda, ascending, with the result of its trial."""
 
+    @property
+    def searched(self) -> tuple[float, float] | None:
+        """The smallest and the largest tried lambda; None if none was tried.
+
+        The smallest one is above the requested one if vortices of neighbours would meet below it.
+        """
+        return (self.tried[0][0], self.tried[-1][0]) if self.tried else None
+
 
 def modified_birds(configuration: FlockConfiguration) -> list[int]:
     """Return the birds to modify: one wing if the flock is its own mirror image, else all."""

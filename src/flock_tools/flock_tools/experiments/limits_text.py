@@ -19,6 +19,7 @@ def as_json(limits: Limits, tried: bool) -> dict[str, Any]:
         facts[f"{side}_gap"] = end and end.gap
         facts[f"{side}_parts"] = end and end.parts
     facts["never"] = limits.never
+    facts["searched"] = limits.searched and list(limits.searched)
     if tried:
         facts["tried"] = [
             {"span_ratio": ratio, "holds": gap == 0, "gap": None if gap in (0, NO_GAP) else gap}
@@ -38,16 +39,21 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     width = digits + 3
     lines.append(f"  bird   {'lower':<{width}}  opens   {'upper':<{width}}  opens")
     for limits in found:
-        if limits.never:
+        searched = limits.searched
+        if limits.never or searched is None:
             lines.append(f"  {limits.bird:4}   none: no such span ratio of this bird was found")
             continue
         ends = [
             f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
             if end
-            else f"{f'{side} {edge:g}':<{width}}  {'':<5}"
-            for end, side, edge in ((limits.lower, "below", low), (limits.upper, "above", high))
+            else f"{f'{side} {edge:.9g}':<{width}}  {'':<5}"
+            for end, side, edge in (
+                (limits.lower, "below", searched[0]),
+                (limits.upper, "above", searched[1]),
+            )
         ]
         lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
+    lines += [_shortened(limits, high) for limits in found if _is_shortened(limits, low)]
     if not facts["as_given"]:
         lines.append(
             "the flock as given can't fly in formation: intervals are those nearest to its ratios"
@@ -57,6 +63,18 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
         )
     lines += _how(facts)
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _is_shortened(limits: Limits, low: float) -> bool:
+    return limits.searched is None or limits.searched[0] > low
+
+
+def _shortened(limits: Limits, high: float) -> str:
+    """Return the line on a bird whose search did not begin at the requested ratio."""
+    if limits.searched is None:
+        return f"bird {limits.bird}: nothing is searched: up to {high:g}, vortices would meet"
+    first = limits.searched[0]
+    return f"bird {limits.bird}: searched from {first:.9g}: below it, vortices would meet"
 
 
 def _how(facts: dict[str, Any]) -> list[str]:

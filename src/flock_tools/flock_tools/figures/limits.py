@@ -180,17 +180,27 @@ class _Diagram:
             return
         if bottom <= present <= top and present != 1.0:
             axes.plot(found.bird, present, "o", color=INK, markerfacecolor="white", zorder=4)
-        first = found.lower.ratio if found.lower else self.low
-        last = found.upper.ratio if found.upper else self.high
+        low, high = found.searched or (self.low, self.high)
+        first = found.lower.ratio if found.lower else low
+        last = found.upper.ratio if found.upper else high
         shown = [min(max(ratio, bottom), top) for ratio in (first, last)]
         red: dict[str, Any] = {"color": ALARM, "clip_on": False, "zorder": 3}
         axes.plot([found.bird] * 2, shown, linewidth=self._thickness, solid_capstyle="butt", **red)
         sides = ((first, shown[0], found.lower, "v"), (last, shown[1], found.upper, "^"))
         for ratio, place, end, mark in sides:
+            if end is None and place == ratio and self.low < ratio < self.high:
+                continue  # the search ended here, since vortices would meet beyond
             if end is None or place != ratio:
                 axes.plot(found.bird, place, mark, markersize=4, markeredgewidth=0, **red)
             else:
                 axes.plot(found.bird, ratio, "_", markersize=2.5 * self._thickness, **red)
+
+    def _extends(self, found: Limits) -> bool:
+        """Return whether the interval of a bird reaches an end of the requested range."""
+        low, high = found.searched or (self.low, self.high)
+        return (found.lower is None and low <= self.low) or (
+            found.upper is None and high >= self.high
+        )
 
     @property
     def _thickness(self) -> float:
@@ -243,7 +253,7 @@ class _Diagram:
         if any(not end.gap for _, end, _ in self.ends) and len(self.limits) <= MOST_NAMED:
             text = "no speed balances thrust and drag beyond"
             marks.append(mark(text, "$U^*$", color=INK, markersize=9, markeredgewidth=0.2))
-        if any(found.lower is None or found.upper is None for found in kept):
+        if any(self._extends(found) for found in kept):
             marks.append(mark("interval extends beyond the figure", "^", markeredgewidth=0))
         if len(kept) < len(self.limits):
             text = f"no formation from {self.low:g} to {self.high:g}"
