@@ -15,8 +15,16 @@ from flock_sim.errors import RunFailed
 from flock_sim.physics.flock import Flock
 from flock_sim.theory.equilibrium import equilibrium
 from flock_tools.commands.survey import tool
-from flock_tools.experiments.random_flocks import BLOCK, SMALLEST, Distribution, Fraction, survey
+from flock_tools.experiments.random_flocks import (
+    BLOCK,
+    SMALLEST,
+    Distribution,
+    Fraction,
+    Population,
+    survey,
+)
 from flock_tools.experiments.workers import Workers
+from flock_tools.figures.survey import draw_survey
 from support.tool_runs import error_of, json_of, text_of
 
 
@@ -191,3 +199,27 @@ def test_blocks_are_handed_out_as_they_are_computed() -> None:
     with pytest.raises(RunFailed, match="enough"):
         survey(FlockConfiguration(birds=2), Distribution(0.01), 10**8, 1, workers)
     assert pool.submitted < 20
+
+
+@pytest.mark.parametrize(("birds", "named"), [(2, "either bird"), (4, "one of the middle two")])
+def test_no_position_of_an_even_flock_is_called_the_leader(
+    birds: int, named: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The leader of an even flock shares its position with the bird beside it.
+    last = (birds + 1) // 2
+    monkeypatch.setattr(Population, "worst_position", last)
+    arguments = ("--birds", str(birds), "--spread", "0.05", "--samples", "200")
+    text = text_of(tool, capsys, *arguments)
+    assert f" {named} (" in text
+    assert "leader" not in text
+    monkeypatch.setattr(Population, "worst_position", 2)
+    assert "the leader (" in text_of(tool, capsys, "--birds", "3", *arguments[2:])
+
+
+def test_the_figure_names_the_last_position_of_odd_and_even_flocks(tmp_path: Path) -> None:
+    for sizes, last in (((3, 5), "last: leader)"), ((4,), "middle two"), ((3, 4), "or middle two")):
+        found = [
+            survey(FlockConfiguration(birds=birds), Distribution(0.03), 50, 1, pool(1))
+            for birds in sizes
+        ]
+        assert last in draw_survey(found).axes[1].get_xlabel()

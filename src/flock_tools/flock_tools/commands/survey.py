@@ -158,10 +158,19 @@ def _worst(population: Population) -> str:
     if position is None:
         return ""
     broken = population.broken_by_weakest[position - 1]
-    last = len(population.broken_by_weakest)
-    names = {1: "the tail", last: "the leader"}
-    place = names.get(position, f"number {position}")
+    place = _place(population.birds, position)
     return f"{place} ({100.0 * broken.value:.1f} %)"
+
+
+def _place(birds: int, position: int) -> str:
+    """Return the name of a position, which is that of one bird on each wing, from the tail."""
+    if birds == 2:
+        return "either bird"
+    if position == 1:
+        return "the tail"
+    if position == (birds + 1) // 2:
+        return "the leader" if birds % 2 else "one of the middle two"
+    return f"number {position}"
 
 
 def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:

@@ -63,7 +63,7 @@ def draw_survey(populations: Sequence[Population]) -> Figure:
         )
         right.set(
             title="(b)",
-            xlabel="wing position of the smallest bird (1: tail, last: leader)",
+            xlabel=_positions_label(sizes),
             ylabel="flocks that can't",
             ylim=(-0.03, 1.03),
         )
@@ -73,6 +73,15 @@ def draw_survey(populations: Sequence[Population]) -> Figure:
             axes.grid(visible=True)
             axes.legend(loc="best", fontsize=SMALL, title=title)
     return figure
+
+
+def _positions_label(sizes: Sequence[int]) -> str:
+    """Return the label of wing positions; the last one of an even flock is that of two birds."""
+    odd, even = any(birds % 2 for birds in sizes), any(birds % 2 == 0 for birds in sizes)
+    last = "last: leader" if odd else "last: middle two"
+    if odd and even:
+        last = "last: leader, or middle two"
+    return f"wing position of the smallest bird (1: tail, {last})"
 
 
 def _fractions(axes: Axes, populations: Sequence[Population], kind: dict[str, object]) -> None:
