@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The summary agrees with the metrics, for every flock that can be flown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.analysis.summary import MOST_MEMBERS, summary
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.types import ARRAYS
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.reference.integrator import Reference
 
@@ -60,6 +63,47 @@ def test_of_many_members_the_first_are_told_and_all_are_counted() -> None:
     assert f"member {MOST_MEMBERS}\n" in text
     assert f"member {MOST_MEMBERS + 1}\n" not in text
     assert f"{sum(metrics.stable)} of 20 members hold together" in text
+
+
+def state_with(spacing: list[float], configuration: FlockConfiguration, step: int) -> FlockState:
+    """A flock of equal speeds; spacings are those forward to the next bird, from tail to tail."""
+    head = configuration.birds // 2
+    signed = np.array(spacing) * np.where(np.arange(len(spacing)) < head, 1.0, -1.0)
+    position = np.concatenate([[0.0], np.cumsum(signed)])[:, np.newaxis]
+    ones = np.ones_like(position)
+    return FlockState(step, step * configuration.dt, position, ones, ones, 0.0 * ones)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "told"),
+    [
+        ([3.0, 1.0, 1.0, 3.0], "spacing falls from tail to leader"),
+        ([1.0, 3.0, 3.0, 1.0], "spacing does not fall from tail to leader"),
+        ([3.0, 1.0, 3.0, 1.0], "spacing falls from tail to leader on the left wing only"),
+        ([1.0, 3.0, 1.0, 3.0], "spacing falls from tail to leader on the right wing only"),
+        ([3.0, 2.0, 1.0], "spacing falls from tail to leader"),
+    ],
+)
+def test_the_order_of_spacings_is_told_of_both_wings(spacing: list[float], told: str) -> None:
+    configuration = FlockConfiguration(birds=len(spacing) + 1)
+    text = summary(measure(configuration, state_with(spacing, configuration, 1000)))
+    assert any(line.endswith(f"  {told}") for line in text.splitlines())
+
+
+def test_equal_speeds_of_the_start_are_no_verdict() -> None:
+    configuration = FlockConfiguration(birds=3, span_ratios=("1=1.0,1.1",))
+    for step, told in ((0, "too early to tell"), (5, "too early to tell"), (100, "holds together")):
+        start = state_with([2.0, 2.0], configuration, step)
+        both = replace(
+            start,
+            **{name: np.repeat(getattr(start, name), 2, axis=1) for name in ARRAYS},
+        )
+        text = summary(measure(configuration, both))
+        assert f"verdict              {told} (sigma_U < 0.0001)" in text
+        assert ("2 of 2 members hold together" in text) == (step == 100)
+        assert ("0 of 2 members hold together, for 2 it is too early" in text) == (step < 100)
+    alone = summary(metrics_of(FlockConfiguration(birds=1, t_max=10.0)))
+    assert "holds together" in alone
 
 
 @pytest.mark.filterwarnings("error")

@@ -27,15 +27,15 @@ def summary(metrics: Metrics) -> str:
     if shown < metrics.members:
         lines += ["", f"... and {metrics.members - shown} members more"]
     if metrics.members > 1:
-        lines += ["", f"{sum(metrics.stable)} of {metrics.members} members hold together"]
+        lines += ["", count_of_verdicts(metrics)]
     return "\n".join(lines)
 
 
 def _member(metrics: Metrics, m: int) -> list[str]:
     stable = metrics.stable[m]
-    verdict = "holds together" if stable else "does not hold together"
+    criterion = f"(sigma_U {'<' if stable else 'not <'} {STABLE_BELOW:g})"
     lines = [
-        f"  verdict              {verdict} (sigma_U {'<' if stable else 'not <'} {STABLE_BELOW:g})",
+        f"  verdict              {metrics.verdict(m)} {criterion}",
         f"  mean speed U*        {metrics.mean_speed[m]:.9f} U_min",
         f"  spread sigma_U       {metrics.speed_std[m]:.3e} U_min",
         f"  mean drag reduction  {100 * metrics.mean_drag_reduction[m]:.2f} %",
@@ -43,12 +43,27 @@ def _member(metrics: Metrics, m: int) -> list[str]:
     if metrics.birds > 1:
         lines += wings(metrics.spacing[m], metrics.drag_reduction[m], metrics.leader)
     if metrics.leader > 2:
-        order = "falls" if metrics.hierarchical[m] else "does not fall"
-        lines += [f"  hierarchy            spacing {order} from tail to leader"]
+        lines += [f"  hierarchy            {hierarchy(metrics, m)}"]
     error = metrics.profile_error[m]
     if error is not None:
         lines += [f"  linear law           D/C = 1 - (i-1)/N to {error:.1e}"]
     return lines
+
+
+def count_of_verdicts(metrics: Metrics) -> str:
+    """Return how many members hold together, as text."""
+    verdicts = [metrics.verdict(m) for m in range(metrics.members)]
+    held, early = verdicts.count("holds together"), verdicts.count("too early to tell")
+    text = f"{held} of {metrics.members} members hold together"
+    return f"{text}, for {early} it is too early to tell" if early else text
+
+
+def hierarchy(metrics: Metrics, m: int) -> str:
+    """Return in words on which wings spacing falls from tail to leader."""
+    left, right = metrics.falling_wings(m)
+    if left == right:
+        return f"spacing {'falls' if left else 'does not fall'} from tail to leader"
+    return f"spacing falls from tail to leader on the {'left' if left else 'right'} wing only"
 
 
 def wings(spacing: FloatArray, drag_reduction: FloatArray, leader: int) -> list[str]:

@@ -60,8 +60,7 @@ def draw(
 def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str:
     facts = []
     if metrics.birds > 1:
-        together = "holds together" if metrics.stable[m] else "does not hold together"
-        facts = [together, f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
+        facts = [metrics.verdict(m), f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
     facts += [
         f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
         f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",

@@ -11,10 +11,19 @@ import numpy as np
 from markupsafe import Markup
 
 from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.analysis.summary import count_of_verdicts, hierarchy
 from flock_tools.report.data import Reported
 
 MOST_ROWS = 500
 """Largest number of members, over all runs, whose key numbers are listed."""
+
+ORDERED = {
+    (True, True): "yes",
+    (True, False): "left wing only",
+    (False, True): "right wing only",
+    (False, False): "no",
+}
+"""Texts for the wings, left and right, on which spacing falls to the leader."""
 
 COLUMNS = tuple(
     Markup(name)
@@ -56,6 +65,8 @@ class Row:
     """Index of the member; None if pictures do not show it."""
     name: str
     holds: bool
+    words: str
+    """The verdict."""
     cells: list[str]
 
 
@@ -63,9 +74,9 @@ def verdict(run: Reported, named: bool) -> Verdict:
     """Return the verdict on `run`. `named` means that it is one of several."""
     stable, flown = run.metrics.stable, run.configuration
     if len(stable) > 1:
-        words = f"{sum(stable)} of {len(stable)} members hold together"
+        words = count_of_verdicts(run.metrics)
     else:
-        words = "holds together" if stable[0] else "does not hold together"
+        words = run.metrics.verdict(0)
     birds = f"{flown.birds} bird{'s' * (flown.birds > 1)}"
     reached = f"t = {run.metrics.t_final:g}"
     what = f"{birds}, {flown.coupling} coupling, at {reached}"
@@ -81,7 +92,7 @@ def rows(runs: Sequence[Reported]) -> list[Row]:
 def _row(r: int, run: Reported, m: int) -> Row:
     metrics, assessment = run.metrics, run.theory.assessment
     error = metrics.profile_error[m]
-    ordered = ("yes" if metrics.hierarchical[m] else "no") if metrics.leader > 2 else "-"
+    ordered = ORDERED[metrics.falling_wings(m)] if metrics.leader > 2 else "-"
     off = _off(run, m)
     cells = [
         f"{metrics.mean_speed[m]:.9f}",
@@ -104,7 +115,8 @@ def _row(r: int, run: Reported, m: int) -> Row:
         difference = differs(run, m)
         name = f"{name}, member {m + 1}" + (f": {difference}" if difference else "")
     shown = m if m < run.history.speed.shape[2] else None
-    return Row(r, shown, name, bool(metrics.stable[m]), [*cells, f"{metrics.t_final:g}"])
+    cells.append(f"{metrics.t_final:g}")
+    return Row(r, shown, name, bool(metrics.stable[m]), metrics.verdict(m), cells)
 
 
 def differs(run: Reported, m: int) -> str:
@@ -134,7 +146,6 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
     metrics, assessment = run.metrics, run.theory.assessment
     unit = Markup("{} <small>U<sub>min</sub></small>")
     speed = metrics.mean_speed[0] * run.configuration.min_drag_speed
-    falls = "falls" if metrics.hierarchical[0] else "does not fall"
     told: list[tuple[str, Markup, Markup | str]] = [
         ("mean speed U*", unit.format(f"{metrics.mean_speed[0]:.6f}"), f"{speed:.3f} m/s"),
         (
@@ -153,7 +164,7 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
         return [*told, ("exact steady state", Markup(state), "for these birds and this coupling")]
     leading = assessment.leading_eigenvalue[0]
     if metrics.birds > 1:
-        order = f"spacing {falls} to the leader" if metrics.leader > 2 else ""
+        order = hierarchy(metrics, 0) if metrics.leader > 2 else ""
         off = Markup("{} <small>b</small>").format(f"{_off(run, 0):.1e}")
         told.append(("deviation from the exact steady state", off, order))
     error = metrics.profile_error[0]
