@@ -13,12 +13,15 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import axe_playwright_python
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.scaling import Scales
 from flock_sim.recording import flight_bag
 from flock_tools.commands.report import tool
+from flock_tools.runs.dataset import load
 from support.flights import record
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
@@ -26,6 +29,7 @@ AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 HOSTILE = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
 WIDE, NARROW = (1200, 900), (390, 844)
 LARGEST = 6_000_000
+PARTED = FlockConfiguration(birds=7, t_max=4000.0, record_every=1, span_ratios=("4=0.7",))
 PARTS = ("flight", "theory", "configuration", "provenance")
 
 pytestmark = pytest.mark.skipif(
@@ -46,7 +50,13 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def parted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A long flight whose leader, which is too small, is left behind."""
+    return record(tmp_path_factory.mktemp("parted") / "run", PARTED)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory, parted: Path) -> dict[str, Path]:
     """Reports on one flight, on runs compared, on many members, on a long one, and on markup."""
     directory = tmp_path_factory.mktemp("reports")
     flock = FlockConfiguration(t_max=300.0, record_every=1)
@@ -60,6 +70,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         markup = record(directory / "<script>x", FlockConfiguration(birds=3, t_max=20.0))
     runs = {
         "one": [one],
+        "long": [parted],
         "compared": [one, all_to_all, many],
         "members": [many],
         "markup": [markup],
@@ -135,6 +146,48 @@ def test_the_slider_moves_the_birds_and_the_cursor_of_the_curves(opened: Opener)
     page.locator("#time").focus()
     page.keyboard.press("ArrowRight")
     assert positions(page) != moved
+
+
+def cells(page: Page, table: str, row: int) -> list[str]:
+    """Return the cells of a row, from 0, of the table beside a picture."""
+    texts = page.locator(f"#{table}-table tbody tr").nth(row).locator("td").all_text_contents()
+    return [text.strip() for text in texts]
+
+
+def test_tables_tell_of_the_time_that_is_shown_however_long_the_run(
+    opened: Opener, parted: Path
+) -> None:
+    page, bag = opened("long"), load(parted)
+    scales = Scales.of(PARTED)
+    page.locator("#time").evaluate("slider => { slider.value = 30; }")
+    for event in ("input", "change"):
+        page.locator("#time").dispatch_event(event)
+    head = page.locator("#speed-table thead th").all_text_contents()
+    time = float(head[2].removeprefix("at t = "))
+    at, start = (bag.sel(time=t, method="nearest").isel(member=0) for t in (time, 0.0))
+    assert float(at.time) == time
+    for bird in range(7):  # six digits are told
+        speeds = [float(text) for text in cells(page, "speed", bird)]
+        assert speeds[0] == pytest.approx(float(start.speed[bird]), rel=5e-6)
+        assert speeds[1] == pytest.approx(float(at.speed[bird]), rel=5e-6)
+        of_all = bag.speed[:, bird, 0]
+        assert speeds[2:] == pytest.approx([float(of_all.min()), float(of_all.max())], rel=5e-6)
+        saved = [float(text) for text in cells(page, "drag_reduction", bird)]
+        drag = [float(row.interaction_drag[bird]) / scales.cruise_drag for row in (start, at)]
+        assert saved[:2] == pytest.approx([-100.0 * value for value in drag], rel=5e-6)
+
+
+def test_the_bird_from_which_positions_are_measured_is_named(opened: Opener, parted: Path) -> None:
+    page, bag = opened("long"), load(parted)
+    end = bag.position.isel(time=-1, member=0).to_numpy()
+    middle = int(np.argsort(end)[3])
+    words = str(page.locator("#away").text_content())
+    assert "The leader, bird 4, is far from the others" in words
+    assert f"positions are from bird {middle + 1}." in words
+    told = [float(text) for text in positions(page)]
+    assert told == pytest.approx((end - end[middle]).tolist(), rel=1e-4, abs=1e-3)
+    page.locator("#time").fill("0")
+    assert "The leader" not in str(page.locator("#away").text_content())
 
 
 def test_the_flight_is_played_to_its_end(opened: Opener) -> None:

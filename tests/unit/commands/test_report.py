@@ -26,6 +26,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import add_flock_options, flock_configuration
 from flock_sim.console.arguments import Parser
 from flock_sim.messages.types import Push
+from flock_sim.physics.scaling import Scales
 from flock_sim.recording import flight_bag, flight_writer
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.machine import this_machine
@@ -150,7 +151,7 @@ def test_the_page_holds_what_the_bag_holds(flight: Path, tmp_path: Path) -> None
         "time": bag.time,
         "speed": bag.speed,
         "spacing": bag.position.diff("bird"),
-        "speed_std": bag.speed.std("bird").to_numpy()[:, np.newaxis],
+        "speed_std": bag.speed.std("bird").where(bag.time > 0.0).to_numpy()[:, np.newaxis],
         "final_spacing": metrics.spacing.T,
         "lateral": bag.lateral,
     }
@@ -183,6 +184,31 @@ def test_a_long_run_keeps_the_extremes_however_it_is_read(
     np.testing.assert_array_equal(kept.max(axis=0), speed.max(axis=0).astype("<f4"))
     np.testing.assert_array_equal(kept.min(axis=0), speed.min(axis=0).astype("<f4"))
     assert "Of the 201 recorded rows" in page.text
+
+
+def test_values_at_a_time_are_those_of_the_bag_in_a_long_run(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_data, "MOST_BUCKETS", 20)
+    (run,) = reported(flight, output=tmp_path / "a.html").data["runs"]
+    bag = load(flight).transpose("time", "bird", "member")
+    at = bag.isel(time=np.searchsorted(bag.time, unpacked(run["frame_time"])))
+    assert at.time[0] == 0.0
+    assert at.time[-1] == 200.0
+    scales = Scales.of(CONFIGURATION)
+    saved = -at.interaction_drag.to_numpy() / scales.cruise_drag
+    expected = {
+        "speed": at.speed.to_numpy(),
+        "spacing": np.diff(at.position.to_numpy(), axis=1),
+        "drag_reduction": saved,
+        "speed_std": at.speed.to_numpy().std(axis=1, keepdims=True),
+        "mean_drag_reduction": saved.mean(axis=1, keepdims=True),
+    }
+    for name, values in expected.items():
+        found = unpacked(run[f"frame_{name}"])
+        np.testing.assert_allclose(found, values.astype("<f4"), rtol=2e-7, atol=1e-12)
+    # The curve does not begin with the rounding of equal speeds.
+    assert np.nanmin(unpacked(run["speed_std"])) > 1e-6
 
 
 def test_theory_is_the_linear_law_for_equal_birds(tmp_path: Path) -> None:

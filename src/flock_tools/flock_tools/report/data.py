@@ -37,6 +37,12 @@ FEWEST_BUCKETS = 40
 FRAMES = 0.4
 """Number of frames of the formation per bucket of a curve."""
 
+SPREAD = 3
+"""Index of sigma_U among the curves."""
+
+ROUNDING = 1e-12
+"""Spread of the equal speeds of a start, in U_min, below which it is rounding."""
+
 PART = 4_000_000
 """Largest count of numbers of a bag in memory at once, unless one bucket has more."""
 
@@ -52,8 +58,8 @@ class Room:
     @classmethod
     def of(cls, configurations: Sequence[FlockConfiguration]) -> Room:
         """Return the room for runs of these configurations."""
-        # A bucket has two values of three quantities, a frame one value of two.
-        each = [(6.0 + 2.0 * FRAMES) * flown.birds for flown in configurations]
+        # A bucket has two values of three quantities, a frame one value of four.
+        each = [(6.0 + 4.0 * FRAMES) * flown.birds for flown in configurations]
         members = [flown.members for flown in configurations]
 
         def buckets() -> int:
@@ -83,7 +89,7 @@ class History:
     drag_reduction: FloatArray
     """eta_i, shape (points, birds, members)."""
     speed_std: FloatArray
-    """sigma_U, shape (points, 1, members), in U_min."""
+    """sigma_U, shape (points, 1, members), in U_min; nan where it is the rounding of the start."""
     mean_drag_reduction: FloatArray
     """eta, shape (points, 1, members)."""
     frame_time: FloatArray
@@ -93,8 +99,12 @@ class History:
 
     If the leader has no position, from the first bird that has one.
     """
+    frame_speed: FloatArray
+    """The values of `speed`, `spacing` and so on at the time of each frame, in their shapes."""
+    frame_spacing: FloatArray
     frame_drag_reduction: FloatArray
-    """eta_i, shape (frames, birds, members)."""
+    frame_speed_std: FloatArray
+    frame_mean_drag_reduction: FloatArray
 
 
 @dataclass(frozen=True)
@@ -193,9 +203,12 @@ def history(
             ]
             relative = position - _origin(position, int(data.attrs["leader"]) - 1)
         times.append(data.time.to_numpy())
-        curves.append([extremes(values, width) for values in series])
         here = frames[(frames >= first) & (frames < end)] - first
-        moments.append([times[-1][here], relative[here], reduction[here]])
+        moments.append([times[-1][here], relative[here], *(values[here] for values in series)])
+        if first == 0:
+            spread = series[SPREAD]
+            spread[0][spread[0] < ROUNDING] = np.nan
+        curves.append([extremes(values, width) for values in series])
         show(end - first)
     return History(
         rows,

@@ -22,25 +22,37 @@ function nearest(list, value) {
 /** Return the time, in b/U_min, of the frame that is shown. */
 const now = () => values(run().frame_time)[chosen.frame];
 
-/** Return the cells that tell of a line: at the start, now, least and largest. */
-const cellsOf = (line) => [line.y[0], line.y[nearest(line.x, now())], ...bounds(line.y)].map((value) => told(value));
-const cellsHead = () => ["at the start", `at t = ${told(now(), 5)}`, "least", "largest"];
+/** Return the frame of a run that is nearest to the time that is shown. */
+const frameOf = (each) => (each === run() ? chosen.frame : nearest(values(each.frame_time), now()));
+
+/**
+ * Return the cells that tell of a line: at the start, now, least and largest. A curve may be decimated to extremes;
+ * values at a time are those of frames. A run without a frame at the time that is shown tells of its nearest one.
+ */
+function cellsOf({ y, frames, each }) {
+  const frame = frameOf(each), time = values(each.frame_time)[frame];
+  const here = told(frames[frame]) + (time === now() ? "" : ` (at t = ${told(time, 7)})`);
+  const [[low, high], [least, largest]] = [bounds(y), bounds(frames)];
+  return [told(frames[0]), here, told(Math.min(low, least)), told(Math.max(high, largest))];
+}
+
+const cellsHead = () => ["at the start", `at t = ${told(now(), 7)}`, "least", "largest"];
 
 /** Return the curves of a quantity of every bird (or gap) of the chosen run. */
 function birdLines(id, factor) {
   const array = run()[id], count = array.shape[1], time = values(run().time), head = run().leader - 1;
   const towardsLeader = (k) => factor * (id === "spacing" && k >= head ? -1 : 1);
+  const scaled = (from, k) => series(from, memberOf(run()), k).map((value) => towardsLeader(k) * value);
   return range(count).map((k) => ({
-    x: time, y: series(array, memberOf(run()), k).map((value) => towardsLeader(k) * value), ...wingStyle(k, count),
+    x: time, y: scaled(array, k), frames: scaled(run()[`frame_${id}`], k), each: run(), ...wingStyle(k, count),
   }));
 }
 
-/** Return the curves of a quantity of all runs. `log`: without the start, where a spread is only rounding. */
-function runLines(id, factor, log) {
+/** Return the curves of a quantity of all runs. */
+function runLines(id, factor) {
   return data.runs.map((each, r) => {
-    const time = values(each.time);
-    const y = series(each[id], memberOf(each), 0).map((value, k) => (log && time[k] <= 0 ? NaN : factor * value));
-    return { x: time, y, ...runStyle(r) };
+    const scaled = (array) => series(array, memberOf(each), 0).map((value) => factor * value);
+    return { x: values(each.time), y: scaled(each[id]), frames: scaled(each[`frame_${id}`]), each, ...runStyle(r) };
   });
 }
 
@@ -59,8 +71,8 @@ function drawCurves() {
   drawTimed("speed", birdLines("speed", 1), "bird", (k) => k + 1);
   drawTimed("spacing", birdLines("spacing", 1), "birds", (k) => `${k + 1} to ${k + 2}`);
   drawTimed("drag_reduction", birdLines("drag_reduction", 100), "bird", (k) => k + 1);
-  drawTimed("speed_std", runLines("speed_std", 1, true), "run", runName, { log: true, rules: [{ y: data.stable_below }] });
-  drawTimed("mean_drag_reduction", runLines("mean_drag_reduction", 100, false), "run", runName);
+  drawTimed("speed_std", runLines("speed_std", 1), "run", runName, { log: true, rules: [{ y: data.stable_below }] });
+  drawTimed("mean_drag_reduction", runLines("mean_drag_reduction", 100), "run", runName);
 }
 
 function drawProfile() {
@@ -107,7 +119,10 @@ function drawEigenvalues() {
   element("eigenvalues-words").textContent = words;
 }
 
-/** Return where the birds are at a frame: along the flight from the leader, or from the middle if it has left. */
+/**
+ * Return where the birds are at a frame: along the flight from the leader, or from the bird in the middle if that is
+ * far from the leader. `from` is the number of the bird at the origin.
+ */
 function formationOf(each, frame) {
   const count = each.birds, member = memberOf(each);
   const at = (array, k) => series(array, member, k)[frame];
@@ -117,9 +132,10 @@ function formationOf(each, frame) {
   const middle = known.length ? known[known.length >> 1] : 0;
   const depth = bounds(start)[1] - bounds(start)[0] + 1.5;
   const origin = Math.abs(middle) > depth ? middle : 0;
+  const from = Math.max(0, Number.isFinite(along[each.leader - 1]) && origin === 0 ? each.leader - 1 : along.indexOf(origin)) + 1;
   const saved = range(count).map((i) => 100 * at(each.frame_drag_reduction, i));
   const across = row(each.lateral, member), ratio = row(each.span_ratio, member);
-  return { along: along.map((x) => x - origin), across, ratio, start, depth, saved };
+  return { along: along.map((x) => x - origin), across, ratio, start, depth, saved, from };
 }
 
 /** Return [lowest, highest] along the flight that the picture of the chosen member has room for, at all times. */
@@ -162,8 +178,7 @@ function drawFormation() {
   data.runs.forEach((other, r) => {
     if (r === chosen.run) return;
     context.strokeStyle = runStyle(r).colour;
-    const frame = nearest(values(other.frame_time), now());
-    drawBirds(context, formationOf(other, frame), place, scale, () => context.stroke());
+    drawBirds(context, formationOf(other, frameOf(other)), place, scale, () => context.stroke());
   });
   const few = each.birds <= MOST_NAMED;
   context.strokeStyle = css("--ink");
@@ -201,10 +216,15 @@ function drawScale(context, place, [low, high], width, height, margin) {
 
 /** Put the formation that is shown into words and a table, and mark its time in the curves. */
 function tellFormation(scene, [low, high], best) {
-  const birds = run().birds, time = `t = ${told(now(), 5)}`;
+  const birds = run().birds, time = `t = ${told(now(), 7)}`;
   const away = range(birds).filter((i) => !(scene.along[i] >= low && scene.along[i] <= high));
   const places = away.slice(0, 8).map((i) => `${i + 1} at ${told(scene.along[i], 4)} b`).join(", ");
-  element("away").textContent = away.length ? `Not in the picture: bird ${places}${away.length > 8 ? ", ..." : ""}` : "";
+  const outside = away.length ? `Not in the picture: bird ${places}${away.length > 8 ? ", ..." : ""}.` : "";
+  const lost = Number.isFinite(series(run().frame_position, memberOf(run()), run().leader - 1)[chosen.frame])
+    ? "is far from the others" : "has no position";
+  const origin = scene.from === run().leader ? ""
+    : `The leader, bird ${run().leader}, ${lost}: positions are from bird ${scene.from}. `;
+  element("away").textContent = origin + outside;
   element("now").textContent = time;
   element("time").setAttribute("aria-valuetext", time);
   element("best").textContent = `${told(best, 3)} % saved`;
