@@ -12,6 +12,7 @@ from matplotlib.collections import PolyCollection
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.recording.run import Run
+from flock_tools.commands import picture
 from flock_tools.commands.picture import tool
 from flock_tools.figures import output as output_module
 from flock_tools.figures.run_history import draw
@@ -164,6 +165,22 @@ def test_the_picture_lies_beside_the_bag(flight: Path, capsys: pytest.CaptureFix
     assert (flight / "formation.png").exists()
     with Run(flight) as run:
         assert run.at().step == 100
+
+
+def test_the_curves_of_a_long_run_reach_its_end(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture, "MOST_TIMES", 4)  # every third of the eleven rows
+    figures = []
+    monkeypatch.setattr(picture, "write_picture", lambda figure, output: figures.append(figure))
+    assert run_tool(tool, [str(flight), "--output", str(tmp_path / "a.png")]) == 0
+    (figure,) = figures
+    timed = [axes for axes in figure.axes if "time" in axes.get_xlabel()]
+    assert len(timed) == 2
+    for axes in timed:
+        curve = max(axes.lines, key=lambda line: len(line.get_xdata()))
+        assert curve.get_xdata().tolist() == [0.0, 30.0, 60.0, 90.0, 100.0]
+        assert axes.get_xlim() == (0.0, 100.0)
 
 
 def test_moment_member_and_file_can_be_chosen(flight: Path, tmp_path: Path) -> None:
