@@ -104,6 +104,24 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
         assert each.wait().status == 130
 
 
+def test_states_without_wings_are_refused_and_a_later_start_has_wings(terminal: Terminal) -> None:
+    terminal.well("reference", *FLOCK, "--output", "bag")
+    states = [f"/flock/bird_{bird:02d}/state" for bird in (1, 2, 3)]
+    play = ("play", "bag", "--rate", 1, "--loop", "--start", 5)
+    player = terminal.start(*play, "--topics", *states)
+    refused = terminal.run("view", "--timeout", 8)
+    assert refused.status == 2
+    assert "the states of 3 birds are heard, but not their wings" in refused.error
+    player.interrupt()
+    assert player.wait().status == 130
+    player = terminal.start(*play)
+    job = terminal.start("view", "--timeout", 60)
+    job.until_said("showing 3 birds")
+    for each in (job, player):
+        each.interrupt()
+        assert each.wait().status == 130
+
+
 class Client:
     """A Foxglove client of few words, by the protocol's text."""
 

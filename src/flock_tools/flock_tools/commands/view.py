@@ -215,6 +215,11 @@ def _publish(
             raise FlockError(str(error)) from error
         if sample is None:
             return
+        if not viewer.shows:
+            raise FlockError(
+                f"the states of {sample.birds} birds are heard, but not their wings, within "
+                f"{timeout:g} s: fly, or play all topics, or give a longer --timeout"
+            )
         told = _tell_assumed(viewer)
         note(
             f"showing {sample.birds} birds, member {sample.member} of {sample.members}, on "

@@ -133,12 +133,17 @@ class Viewer(Watcher):
 
     def knows(self, sample: Sample) -> bool:
         """Whether discovery is complete, with the wings of all birds."""
-        return super().knows(sample) and self._snapshot() is not None
+        return super().knows(sample) and self.shows
 
     @property
     def tells_flown(self) -> bool:
         """Whether a clock has given the configuration."""
         return self.view.flown is not None
+
+    @property
+    def shows(self) -> bool:
+        """Whether all of a step is known, the wings included."""
+        return self._snapshot() is not None
 
     def publish(self) -> None:
         """Send the latest complete step to all listeners."""
