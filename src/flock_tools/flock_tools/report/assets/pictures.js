@@ -31,9 +31,16 @@ const frameOf = (each) => (each === run() ? chosen.frame : nearest(values(each.f
  */
 function cellsOf({ y, frames, each }) {
   const frame = frameOf(each), time = values(each.frame_time)[frame];
-  const here = told(frames[frame]) + (time === now() ? "" : ` (at t = ${told(time, 7)})`);
-  const [[low, high], [least, largest]] = [bounds(y), bounds(frames)];
-  return [told(frames[0]), here, told(Math.min(low, least)), told(Math.max(high, largest))];
+  const here = cell(frames[frame]) + (time === now() ? "" : ` (at t = ${told(time, 7)})`);
+  const known = [...y, ...frames].filter((value) => !Number.isNaN(value));
+  const [least, largest] = known.length ? [Math.min, Math.max].map((most) => known.reduce((a, b) => most(a, b))) : [NaN, NaN];
+  return [cell(frames[0]), here, cell(least), cell(largest)];
+}
+
+/** Return a value as text; the numbers of this page end at 3.4e38, those of a flock that diverges do not. */
+function cell(value) {
+  if (Number.isFinite(value) || Number.isNaN(value)) return told(value);
+  return value > 0 ? "above 3.4e38" : "below -3.4e38";
 }
 
 const cellsHead = () => ["at the start", `at t = ${told(now(), 7)}`, "least", "largest"];
