@@ -31,8 +31,9 @@ other-machine: setup  ## fly the golden flights on emulated processors: 64-bit A
 torture: setup  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
 	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/protocol/test_stage_fuzz.py tests/unit/recording/test_torture.py
-	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 ./flock python -m pytest -q \
-		tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py tests/ros/test_forged.py
+	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 FLOCK_VARIED_FLIGHTS=200 \
+		./flock python -m pytest -q tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py \
+		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check
