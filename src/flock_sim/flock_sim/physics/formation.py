@@ -84,7 +84,7 @@ def middle_position(position: FloatArray) -> float:
     For an even number of birds it is the upper one of the middle two. Their mean can be far from
     every bird if a flock has parted in halves.
     """
-    return float(np.sort(position)[len(position) // 2])
+    return float(sorted(position.tolist())[len(position) // 2])
 
 
 def start_position(bird: int, birds: int) -> float:
