@@ -13,7 +13,16 @@ from random import Random
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.topics import bird_name
-from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
+from flock_sim.messages.types import (
+    ARRAYS,
+    Checkpoint,
+    Grant,
+    Memory,
+    Progress,
+    Stage,
+    State,
+    Wing,
+)
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.session import Channel
@@ -230,13 +239,6 @@ def expected_states(configuration: FlockConfiguration) -> dict[int, list[bytes]]
     states: dict[int, list[bytes]] = {bird: [] for bird in range(1, configuration.birds + 1)}
     for flock in Reference(configuration).fly():
         for bird, encoded in states.items():
-            state = State.at(
-                configuration,
-                flock.step,
-                flock.position[bird - 1],
-                flock.speed[bird - 1],
-                flock.circulation[bird - 1],
-                flock.interaction_drag[bird - 1],
-            )
-            encoded.append(state.encode())
+            arrays = (getattr(flock, name)[bird - 1] for name in ARRAYS)
+            encoded.append(State.at(configuration, flock.step, *arrays).encode())
     return states

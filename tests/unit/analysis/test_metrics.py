@@ -31,7 +31,8 @@ def measured(configuration: FlockConfiguration, position=None, speed=None, drag=
         else np.array(given, dtype=float).reshape(shape[0], -1) * np.ones(shape)
         for given, default in ((position, 0.0), (speed, CRUISE), (None, 0.0), (drag, 0.0))
     ]
-    return measure(configuration, FlockState(10, configuration.time(10), *arrays))
+    means = arrays[1], arrays[3]
+    return measure(configuration, FlockState(10, configuration.time(10), *arrays, *means))
 
 
 def integral(x: float) -> float:

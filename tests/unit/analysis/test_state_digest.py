@@ -10,7 +10,7 @@ from flock_sim.analysis.state_digest import StateDigest
 from flock_sim.physics.flock_state import FlockState
 
 STATES = [
-    FlockState(step, 0.25 * step, *np.random.default_rng(step).standard_normal((4, 3, 2)))
+    FlockState(step, 0.25 * step, *np.random.default_rng(step).standard_normal((6, 3, 2)))
     for step in (0, 5, 10)
 ]
 
@@ -53,7 +53,7 @@ def test_states_added_at_once_have_the_same_digest() -> None:
 def test_the_bits_of_nan_do_not_count_and_the_sign_of_zero_does() -> None:
     def with_value(bits: int) -> str:
         speed = np.array([[1.0], [np.uint64(bits).view(np.float64)]])
-        return digest([FlockState(0, 0.0, *3 * [np.ones((2, 1))], speed)])
+        return digest([FlockState(0, 0.0, *3 * [np.ones((2, 1))], speed, *2 * [np.ones((2, 1))])])
 
     quiet, negative, payload = 0x7FF8 << 48, 0xFFF8 << 48, 0x7FF8 << 48 | 5
     assert with_value(negative) == with_value(payload) == with_value(quiet)

@@ -41,7 +41,7 @@ def test_wings_that_mirror_each_other_are_told_once() -> None:
 def test_the_right_wing_is_told_from_its_tail() -> None:
     configuration = FlockConfiguration(birds=5)
     position = np.array([[0.0], [3.0], [4.0], [3.5], [1.5]])
-    state = FlockState(0, 0.0, position, np.ones((5, 1)), np.ones((5, 1)), np.zeros((5, 1)))
+    state = FlockState(0, 0.0, position, *4 * [np.ones((5, 1))], np.zeros((5, 1)))
     text = summary(measure(configuration, state))
     (left,) = (line for line in text.splitlines() if "spacing, left wing" in line)
     (right,) = (line for line in text.splitlines() if "spacing, right wing" in line)
@@ -109,7 +109,7 @@ def test_equal_speeds_of_the_start_are_no_verdict() -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_flock_that_is_not_finite_has_a_summary() -> None:
     nothing = np.full((3, 1), np.nan)
-    state = FlockState(0, 0.0, nothing, nothing, nothing, nothing)
+    state = FlockState(0, 0.0, *6 * [nothing])
     text = summary(measure(FlockConfiguration(birds=3), state))
     assert "does not hold together" in text
 

@@ -59,6 +59,8 @@ def test_rosbags_deserialises_every_message_by_the_embedded_definitions(tmp_path
                 speed=members + 1,
                 circulation=members[:0],
                 interaction_drag=members * 2,
+                mean_speed=members * 3,
+                mean_interaction_drag=members[:1],
                 run_id=0,
                 epoch=0,
             )

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, in_order, perturbations
 from flock_sim.errors import FlockError
+from flock_sim.messages.types import ARRAYS
 from flock_sim.reference.integrator import Reference
 
 BIRDS, STEPS = 4, 60
@@ -39,11 +40,7 @@ def flown(given: list[Perturbation], configuration: FlockConfiguration = FLOWN) 
 
 
 def recorded(flight: Reference) -> bytes:
-    return b"".join(
-        array.tobytes()
-        for state in flight.fly()
-        for array in (state.position, state.speed, state.circulation, state.interaction_drag)
-    )
+    return b"".join(getattr(state, name).tobytes() for state in flight.fly() for name in ARRAYS)
 
 
 # --- as text ---

@@ -23,8 +23,8 @@ OTHER = FlockConfiguration(birds=5, coupling="all", t_max=50.0)
 
 
 def values(step: int) -> np.ndarray:
-    """Return arrays of position, speed, circulation and drag; shape (4, birds, members)."""
-    return np.random.default_rng(step).normal(size=(4, 3, 2))
+    """Return the ARRAYS of a state, shape (6, birds, members)."""
+    return np.random.default_rng(step).normal(size=(6, 3, 2))
 
 
 def state(bird: int, step: int, run: int = 0) -> bytes:
@@ -180,8 +180,9 @@ def test_states_of_other_lengths_are_none_of_the_flock(with_grant: bool) -> None
         observer.view.hear_grant(grant(7))
     observer.hear(1, 2, 3, step=10)
     lengths = [(2, 2, 2, 1), (1, 2, 2, 2), (3, 2, 2, 2), (2, 0, 2, 2), (0, 0, 0, 0), (1, 1, 1, 1)]
+    lengths += [(2, 2, 2, 2, 1, 2), (2, 2, 2, 2, 2, 3)]
     for k, each in enumerate(lengths):
-        arrays = [np.ones(length) for length in each]
+        arrays = [np.ones(length) for length in (*each, 2, 2)[:6]]
         odd = State.at(FLOCK, 20 + k, *arrays, run_id=0).encode()
         observer.hear(1, 3, step=20 + k)
         observer.view.hear_state(2, odd)

@@ -13,7 +13,7 @@ from flock_sim.messages.types import ARRAYS, State
 def test_the_fields_are_those_of_decoded_states(members: int) -> None:
     chance = np.random.default_rng(members)
     states = [
-        State.at(FlockConfiguration(dt=0.25), step, *chance.standard_normal((4, members))).encode()
+        State.at(FlockConfiguration(dt=0.25), step, *chance.standard_normal((6, members))).encode()
         for step in (0, 3, 4000)
     ]
     assert [members_of(data) for data in states] == 3 * [members]

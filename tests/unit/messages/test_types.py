@@ -76,6 +76,8 @@ def test_layout_of_a_state():
         np.array([2.0]),
         np.array([3.0]),
         np.array([4.0]),
+        np.array([5.0]),
+        np.array([6.0]),
         8,
         9,
     )
@@ -94,8 +96,12 @@ def test_layout_of_a_state():
         (80, "d", 3.0),
         (88, "I", 1),
         (96, "d", 4.0),
-        (104, "Q", 8),
-        (112, "I", 9),
+        (104, "I", 1),
+        (112, "d", 5.0),
+        (120, "I", 1),
+        (128, "d", 6.0),
+        (136, "Q", 8),
+        (144, "I", 9),
     )
     assert message.encode() == expected
 
@@ -200,7 +206,7 @@ def test_layout_of_the_clock():
 def test_a_state_is_stamped_with_its_simulated_time():
     # Step 36 of dt = 1 is 36 / 24 s = 1.5 s: b / U_min is 1/24 s.
     one = np.ones(1)
-    state = State.at(FlockConfiguration(), 36, one, one, one, one)
+    state = State.at(FlockConfiguration(), 36, *6 * [one])
     assert (state.seconds, state.nanoseconds, state.frame) == (1, 500_000_000, "flock")
     assert (state.step, state.time) == (36, 36.0)
 
@@ -237,9 +243,9 @@ def test_run_and_epoch_of_an_encoded_state_are_read_and_taken_out_without_decodi
 @pytest.mark.parametrize("members", [1, 2, 7])
 def test_the_length_of_a_state_is_known_beforehand(members):
     some = np.ones(members)
-    state = State.at(FlockConfiguration(), 0, some, some, some, some)
+    state = State.at(FlockConfiguration(), 0, *6 * [some])
     assert State.lengths(members).size == len(state.encode())
-    assert State.lengths(members).unpack(state.encode()) == 4 * (members,)
+    assert State.lengths(members).unpack(state.encode()) == 6 * (members,)
 
 
 @pytest.mark.parametrize("length", [0, 4, 27, 35])

@@ -12,7 +12,7 @@ from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 
 FLOCK = FlockConfiguration(birds=4, span_ratios=("1=0.9,1.0,1.1",))
-VALUES = np.random.default_rng(3).normal(size=(4, 4, 3))  # quantities, birds, members
+VALUES = np.random.default_rng(3).normal(size=(6, 4, 3))  # quantities, birds, members
 
 
 @pytest.fixture

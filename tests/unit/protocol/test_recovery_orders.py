@@ -357,7 +357,7 @@ def test_a_new_clock_that_knows_of_no_stop_flies_on_to_the_end() -> None:
 
 def states(step: int) -> Iterator[bytes]:
     one = np.ones(1)
-    yield State.at(TWO, step, one, one, one, one).encode()
+    yield State.at(TWO, step, *6 * [one]).encode()
 
 
 # --- whole flights ---

@@ -19,6 +19,7 @@ from flock_sim.protocol.session import Outgoing
 from flock_sim.protocol.stage_words import (
     ANY,
     END,
+    EVERY,
     FOREIGN,
     LACKING,
     SIDE,
@@ -62,7 +63,7 @@ class Flown:
         while words[TICK] < words[END] and not words[LACKING + words[SIDE]]:
             own = self.bird._motion
             arrays = own._own, own._interactions, self.bird._inbox.heard, own._mine, own._work
-            feel_and_move(words[TICK], FLOCK.dt, *arrays)
+            feel_and_move(words[TICK], FLOCK.dt, words[EVERY], *arrays)
             words[TICK] += 1
             turn(words, words[TICK] + 1)
             say(words)

@@ -274,7 +274,7 @@ def test_a_state_whose_arrays_have_other_lengths_is_left_out() -> None:
     flock = FlockConfiguration(birds=1, t_max=1.0, record_every=1, span_ratios=("1=1.0,1.0",))
     assembler = RowAssembler(flock)
     assembler.begin(7, 1)
-    arrays = [np.ones(length) for length in (1, 3, 2, 2)]  # as long as four of two in all
+    arrays = [np.ones(length) for length in (1, 3, 2, 2, 2, 2)]  # as long as six of two in all
     wrong = State.at(flock, 0, *arrays, 7, 1).encode()
     assert len(wrong) == State.lengths(2).size
     assert assembler.add_state(1, wrong) == []

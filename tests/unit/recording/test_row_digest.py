@@ -82,7 +82,7 @@ def test_a_row_that_lacks_a_state_is_left_out() -> None:
 
 
 def test_a_state_of_another_length_belongs_to_no_row() -> None:
-    odd = State.at(CONFIGURATION, 0, *np.ones((4, 3))).encode()
+    odd = State.at(CONFIGURATION, 0, *np.ones((6, 3))).encode()
     assert watched([(1, odd), *MESSAGES[1:]]).text == of(FLOWN[1:])
     digest = RowDigest(CONFIGURATION)
     digest.add([odd, *ROWS[0][1:]])

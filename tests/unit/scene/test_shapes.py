@@ -39,6 +39,8 @@ def snapshot(
         speed=np.full(birds, 1.2),
         circulation=scales.circulation_min * ratio**2 / 1.2,
         interaction_drag=-scales.cruise_drag * np.linspace(0.0, 0.28, birds),
+        mean_speed=np.full(birds, 1.2),
+        mean_interaction_drag=np.zeros(birds),
     )
     return Snapshot(configuration, 0, 1, stamp, replace(state, **changed), ratio)
 

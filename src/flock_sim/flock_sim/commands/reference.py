@@ -135,7 +135,7 @@ def _integrate(
 
 def row(configuration: FlockConfiguration, recorded: FlockState) -> Row:
     """Return a recorded step as the messages that a flock of nodes would have sent."""
-    from flock_sim.messages.types import State, Time, Wing
+    from flock_sim.messages.types import ARRAYS, State, Time, Wing
     from flock_sim.recording.row_assembler import Row
 
     birds = range(configuration.birds)
@@ -144,12 +144,7 @@ def row(configuration: FlockConfiguration, recorded: FlockState) -> Row:
     time_message = Time.at(configuration.stamp(recorded.step)).encode()
     states = [
         State.at(
-            configuration,
-            recorded.step,
-            recorded.position[i],
-            recorded.speed[i],
-            recorded.circulation[i],
-            recorded.interaction_drag[i],
+            configuration, recorded.step, *(getattr(recorded, name)[i] for name in ARRAYS)
         ).encode()
         for i in birds
     ]

@@ -210,6 +210,10 @@ class FlockConfiguration:
         """Return the simulated time at the beginning of `step`, in ns."""
         return round(self.time(step) * self.second * 1e9)
 
+    def steps_averaged(self, step: int) -> int:
+        """Return how many steps, `step` included, the means in the state at `step` are over."""
+        return 1 + (step - 1) % self.record_every if step else 1
+
     def parameters(self) -> dict[str, Any]:
         """Return every key of the configuration file with its value."""
         values = {name: getattr(self, name) for name in KEYS}

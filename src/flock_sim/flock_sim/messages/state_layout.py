@@ -18,6 +18,7 @@ from flock_sim.messages.types import (
     STATE_HEAD,
     STATE_NUMBERS_AT,
     STATE_STEP_AT,
+    VALUES,
     State,
 )
 from flock_sim.physics.arrays import FloatArray
@@ -25,24 +26,27 @@ from flock_sim.physics.arrays import FloatArray
 
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
-    members, lengths = _layout(len(data))
-    if (
-        members
-        and data.startswith(ENCAPSULATION)
-        and data.startswith(STATE_FRAME, STATE_FRAME_AT)
-        and set(lengths.unpack(data)) == {members}
-    ):
-        return members
+    if data.startswith(ENCAPSULATION) and data.startswith(STATE_FRAME, STATE_FRAME_AT):
+        for members, lengths in _layouts(len(data)):
+            if set(lengths.unpack(data)) == {members}:
+                return members
     return 0
 
 
+def has_means(data: bytes, members: int) -> bool:
+    """Whether a state whose `members_of` is `members` has means; earlier versions had none."""
+    return len(data) == State.lengths(members).size
+
+
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layout(size: int) -> tuple[int, struct.Struct]:
-    """Return the members of a state of `size` bytes (0: none has it) and its `State.lengths`."""
-    members, rest = divmod(size - State.lengths(0).size, 8 * len(ARRAYS))
-    if rest or members < 1:
-        members = 0
-    return members, State.lengths(members)
+def _layouts(size: int) -> list[tuple[int, struct.Struct]]:
+    """Return the members that a state of `size` bytes may have, each with its `State.lengths`."""
+    found = []
+    for arrays in (len(ARRAYS), len(VALUES)):
+        members, rest = divmod(size - State.lengths(0, arrays).size, 8 * arrays)
+        if members > 0 and not rest:
+            found.append((members, State.lengths(members, arrays)))
+    return found
 
 
 def same_head(one: bytes, other: bytes) -> bool:
@@ -62,28 +66,42 @@ def steps_of(states: Sequence[bytes]) -> npt.NDArray[np.int64]:
 
 
 def values_of(states: Sequence[bytes], members: int) -> FloatArray:
-    """Return the arrays of states whose `members_of` is `members`, shape (states, 4, members)."""
-    values: FloatArray = fields_of(b"".join(states), members)[2]
+    """Return the ARRAYS of states whose `members_of` is `members`, shape (states, 6, members).
+
+    The means of states without them are nan.
+    """
+    if all(has_means(state, members) for state in states):
+        return fields_of(b"".join(states), members)[2]
+    values = np.full((len(states), len(ARRAYS), members), np.nan)
+    for with_means in (True, False):
+        chosen = [k for k, state in enumerate(states) if has_means(state, members) is with_means]
+        if chosen:
+            block = b"".join(states[k] for k in chosen)
+            arrays = fields_of(block, members, with_means)[2]
+            values[chosen, : arrays.shape[1]] = arrays
     return values
 
 
-def fields_of(states: bytes, members: int) -> tuple[npt.NDArray[np.uint64], FloatArray, FloatArray]:
-    """Return the fields of joined states whose `members_of` is `members`.
+def fields_of(
+    states: bytes, members: int, with_means: bool = True
+) -> tuple[npt.NDArray[np.uint64], FloatArray, FloatArray]:
+    """Return the fields of joined states that have `members`, and all means or none.
 
-    These are step and time, of shape (states,), and the arrays, of shape (states, 4, members).
+    These are step and time, of shape (states,), and the arrays, of shape (states, 6 or 4, members).
     """
-    fields = np.frombuffer(states, dtype=_fields(members))
+    fields = np.frombuffer(states, dtype=_fields(members, with_means))
     return fields["step"], fields["time"], fields["arrays"]["values"]
 
 
 @lru_cache(maxsize=64)
-def _fields(members: int) -> np.dtype[np.void]:
+def _fields(members: int, with_means: bool) -> np.dtype[np.void]:
+    arrays = len(ARRAYS if with_means else VALUES)
     array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (members,))])
     return np.dtype(
         {
             "names": ["step", "time", "arrays"],
-            "formats": ["<u8", "<f8", (array, (len(ARRAYS),))],
+            "formats": ["<u8", "<f8", (array, (arrays,))],
             "offsets": [STATE_STEP_AT, STATE_STEP_AT + 8, STATE_HEAD],
-            "itemsize": State.lengths(members).size,
+            "itemsize": State.lengths(members, arrays).size,
         }
     )

@@ -8,7 +8,8 @@ With these classes, the state machines, the recorder and the offline tools need 
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
 from typing import ClassVar
 
 import numpy as np
@@ -35,8 +36,18 @@ FRAME = "flock"
 
 BILLION = 1_000_000_000
 
-ARRAYS = ("position", "speed", "circulation", "interaction_drag")
+ARRAYS = (
+    "position",
+    "speed",
+    "circulation",
+    "interaction_drag",
+    "mean_speed",
+    "mean_interaction_drag",
+)
 """The fields of a state that have one value per member, in the order of the message."""
+
+VALUES, MEANS = ARRAYS[:4], ARRAYS[4:]
+"""The values at the time of a state, and the means that states of earlier versions lack."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +89,11 @@ class Stage(Message):
 
 @dataclass(frozen=True, slots=True)
 class State(Message):
-    """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless."""
+    """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless.
+
+    The means are over all steps since the last recorded state, this step included. A state that was
+    recorded by an earlier version has none: they are empty.
+    """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
 
@@ -91,8 +106,22 @@ class State(Message):
     speed: Numbers
     circulation: Numbers
     interaction_drag: Numbers
+    mean_speed: Numbers
+    mean_interaction_drag: Numbers
     run_id: UInt64 = 0
     epoch: UInt32 = 0
+
+    @classmethod
+    def decode(cls, data: bytes) -> State:
+        """Return the state in `data`, also of an earlier version. Raises ValueError as Message."""
+        try:
+            return super(State, cls).decode(data)
+        except ValueError:
+            with suppress(ValueError):
+                early = StateWithoutMeans.decode(data)
+                if len(early.encode()) == len(data):
+                    return early.with_no_means()
+            raise
 
     @staticmethod
     def step_of(data: bytes) -> int:
@@ -100,10 +129,13 @@ class State(Message):
         return _step(State, data, STATE_STEP_AT)
 
     @staticmethod
-    def lengths(members: int) -> struct.Struct:
-        """Return the struct that reads the array lengths of an encoded state of `members`."""
+    def lengths(members: int, arrays: int = len(ARRAYS)) -> struct.Struct:
+        """Return the struct that reads the array lengths of an encoded state of `members`.
+
+        A state without means has fewer `arrays`: those of VALUES.
+        """
         array = f"I{STATE_NUMBERS_AT - 4}x{8 * members}x"
-        return struct.Struct(f"<{STATE_HEAD}x{array * len(ARRAYS)}{STATE_ENVELOPE.size}x")
+        return struct.Struct(f"<{STATE_HEAD}x{array * arrays}{STATE_ENVELOPE.size}x")
 
     @staticmethod
     def envelope(data: bytes) -> tuple[int, int]:
@@ -125,6 +157,8 @@ class State(Message):
         speed: FloatArray,
         circulation: FloatArray,
         interaction_drag: FloatArray,
+        mean_speed: FloatArray,
+        mean_interaction_drag: FloatArray,
         run_id: int = 0,
         epoch: int = 0,
     ) -> State:
@@ -138,9 +172,38 @@ class State(Message):
             speed,
             circulation,
             interaction_drag,
+            mean_speed,
+            mean_interaction_drag,
             run_id,
             epoch,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class StateWithoutMeans(Message):
+    """BirdState as it was before it had means."""
+
+    TYPE: ClassVar[str] = State.TYPE
+
+    seconds: Int32
+    nanoseconds: UInt32
+    frame: Text
+    step: UInt64
+    time: Float64
+    position: Numbers
+    speed: Numbers
+    circulation: Numbers
+    interaction_drag: Numbers
+    run_id: UInt64
+    epoch: UInt32
+
+    def with_no_means(self) -> State:
+        """Return this state with empty means."""
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return State(**values, mean_speed=_NONE, mean_interaction_drag=_NONE)
+
+
+_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +370,7 @@ class Time(Message):
 # The layout of encoded messages, in bytes, for code that does not decode them.
 STAGE_HEADER = fixed_layout(*Stage.KINDS[: Stage.KINDS.index("numbers")], "I")
 _ONE = np.zeros(1)
-_STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE)
+_STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE, _ONE, _ONE)
 STATE_STEP_AT = _STATE.place("step")
 STATE_FRAME_AT = _STATE.place("frame")
 STATE_FRAME = _STATE.encode()[STATE_FRAME_AT:][: 4 + len(FRAME) + 1]

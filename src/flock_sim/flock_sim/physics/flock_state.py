@@ -33,6 +33,10 @@ class FlockState:
     """Gamma_i, in b U_min."""
     interaction_drag: FloatArray
     """sum_j D_ji, in rho b^2 U_min^2; negative where drag is saved."""
+    mean_speed: FloatArray
+    """U_i, the mean over the steps since the last recorded state; nan if it was not recorded."""
+    mean_interaction_drag: FloatArray
+    """sum_j D_ji, the mean over the same steps."""
 
     @classmethod
     def of(cls, states: Sequence[State]) -> FlockState:
@@ -44,11 +48,22 @@ class FlockState:
             speed=np.stack([state.speed for state in states]),
             circulation=np.stack([state.circulation for state in states]),
             interaction_drag=np.stack([state.interaction_drag for state in states]),
+            mean_speed=np.stack([_known(state.mean_speed, state) for state in states]),
+            mean_interaction_drag=np.stack(
+                [_known(state.mean_interaction_drag, state) for state in states]
+            ),
         )
 
     def member(self, m: int) -> FlockState:
         """Return the state of the flock with index `m`, with arrays of shape (birds,)."""
-        arrays = (self.position, self.speed, self.circulation, self.interaction_drag)
+        arrays = (
+            self.position,
+            self.speed,
+            self.circulation,
+            self.interaction_drag,
+            self.mean_speed,
+            self.mean_interaction_drag,
+        )
         return FlockState(self.step, self.time, *(values[:, m] for values in arrays))
 
     @property
@@ -70,3 +85,8 @@ class FlockState:
     def drag_reduction(self, scales: Scales) -> FloatArray:
         """Return eta_i in the shape of `interaction_drag`."""
         return drag_reduction(self.interaction_drag, scales.cruise_drag)
+
+
+def _known(means: FloatArray, state: State) -> FloatArray:
+    """Return the means in a state; nan where it has none, as those of earlier versions."""
+    return means if len(means) else np.full(len(state.speed), np.nan)

@@ -84,6 +84,26 @@ def compute_drags(interactions: FloatArray) -> None:
 
 
 @inlined
+def sum_up(
+    step: int,
+    every: int,
+    speed: FloatArray,
+    drag: FloatArray,
+    speed_sum: FloatArray,
+    drag_sum: FloatArray,
+) -> None:
+    """Add speed and drag at the beginning of `step` to the sums of which a record has the means.
+
+    States are recorded `every` steps. The sums begin anew at the step after a record. All arrays
+    have shape (elements,).
+    """
+    anew = step == 0 or (step - 1) % every == 0
+    for i in range(speed.shape[0]):
+        speed_sum[i] = canonical((0.0 if anew else speed_sum[i]) + speed[i])
+        drag_sum[i] = canonical((0.0 if anew else drag_sum[i]) + drag[i])
+
+
+@inlined
 def move(
     stage: int,
     dt: float,

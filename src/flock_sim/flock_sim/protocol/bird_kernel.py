@@ -21,16 +21,18 @@ from flock_sim.physics.stage_kernels import (
     OTHER_HALF_SPAN,
     compute_drags,
     move,
+    sum_up,
 )
 
 # Rows of a bird's own constants, as BirdCoefficients.rows() has them.
 THRUST, CIRCULATION_COEFFICIENT = 1, 4
 OWN_ROWS = 5
 
-# Rows of a bird's working memory: the drag, the values at the beginning of the step, and the
-# weighted sums of their slopes.
+# Rows of a bird's working memory: the drag, the values at the beginning of the step, the weighted
+# sums of their slopes, the sums of `sum_up` with this step, and these sums before this step.
 DRAG, POSITION, SPEED, POSITION_SLOPES, SPEED_SLOPES = range(5)
-WORK_ROWS = 5
+SPEED_SUM, DRAG_SUM, SPEED_SUM_BEFORE, DRAG_SUM_BEFORE = range(5, 9)
+WORK_ROWS = 9
 
 FEW = 4
 """Number of neighbours times members below which a vector costs more than single numbers."""
@@ -59,6 +61,7 @@ def begin(own: FloatArray, mine: FloatArray, work: FloatArray) -> None:
 def feel_and_move(
     tick: int,
     dt: float,
+    every: int,
     own: FloatArray,
     interactions: FloatArray,
     heard: FloatArray,
@@ -67,9 +70,10 @@ def feel_and_move(
 ) -> None:
     """Compute the drag at `tick` and the values at the next tick.
 
+    `every` is the number of steps between recorded states. To compute a stage twice has no effect.
     The arrays are few, since each costs 0.2 us to pass. `own` (5, members) holds the coefficients,
     `interactions` is the interaction array of the neighbours; `heard` (2, neighbours, words) and
-    `mine` (2, words) are the stage messages of even and odd ticks; `work` is (5, members). The
+    `mine` (2, words) are the stage messages of even and odd ticks; `work` is (9, members). The
     function fills `mine` of the next tick, and at the last stage the values in `work`.
     """
     members = own.shape[1]
@@ -108,6 +112,14 @@ def feel_and_move(
                 on_me = interactions[ON_BIRD, k * members + m]
                 work[DRAG, m] = canonical(work[DRAG, m] + on_me)
 
+    if tick % STAGES == 0:
+        for m in range(members):
+            work[SPEED_SUM, m] = work[SPEED_SUM_BEFORE, m]
+            work[DRAG_SUM, m] = work[DRAG_SUM_BEFORE, m]
+        speed_here = now[speed : speed + members]
+        step = tick // STAGES
+        sum_up(step, every, speed_here, work[DRAG], work[SPEED_SUM], work[DRAG_SUM])
+
     position_now = following[position : position + members]
     speed_now = following[speed : speed + members]
     for m in range(members):
@@ -130,3 +142,5 @@ def feel_and_move(
         for m in range(members):
             work[POSITION, m] = position_now[m]
             work[SPEED, m] = speed_now[m]
+            work[SPEED_SUM_BEFORE, m] = work[SPEED_SUM, m]
+            work[DRAG_SUM_BEFORE, m] = work[DRAG_SUM, m]

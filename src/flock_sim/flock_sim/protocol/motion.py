@@ -17,8 +17,10 @@ from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.scaling import Scales
 from flock_sim.protocol.bird_kernel import (
     DRAG,
+    DRAG_SUM,
     POSITION,
     SPEED,
+    SPEED_SUM,
     WORK_ROWS,
     begin,
     constants,
@@ -28,7 +30,7 @@ from flock_sim.protocol.control_force import Control, Steering
 from flock_sim.protocol.link_receiver import LinkReceiver
 from flock_sim.protocol.neighbours import Neighbourhood
 from flock_sim.protocol.stage_inbox import StageInbox
-from flock_sim.protocol.stage_words import OWN, SENT, say
+from flock_sim.protocol.stage_words import EVERY, OWN, SENT, say
 
 
 class Motion:
@@ -39,7 +41,7 @@ class Motion:
         members = configuration.members
         self.bird = bird
         self._configuration = configuration
-        self._dt = configuration.dt
+        self._dt, self._every = configuration.dt, configuration.record_every
         self._interactions = around.interactions
         self._own = constants(bird, configuration)
         self._mine = np.zeros((2, stage_words(members)))
@@ -64,7 +66,16 @@ class Motion:
 
         `heard` has the messages of the neighbours, as in `feel_and_move`.
         """
-        feel_and_move(tick, self._dt, self._own, self._interactions, heard, self._mine, self._work)
+        feel_and_move(
+            tick,
+            self._dt,
+            self._every,
+            self._own,
+            self._interactions,
+            heard,
+            self._mine,
+            self._work,
+        )
 
     def numbers(self, tick: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, speed and circulation at `tick`, each of shape (members,)."""
@@ -72,8 +83,18 @@ class Motion:
 
     def state(self, step: int, run_id: int, epoch: int) -> State:
         """Return the state at the beginning of `step`, once its drag is computed."""
-        numbers, drag = self.numbers(STAGES * step), self._work[DRAG]
-        return State.at(self._configuration, step, *numbers, drag, run_id, epoch)
+        configuration, work = self._configuration, self._work
+        averaged = configuration.steps_averaged(step)
+        return State.at(
+            configuration,
+            step,
+            *self.numbers(STAGES * step),
+            interaction_drag=work[DRAG],
+            mean_speed=work[SPEED_SUM] / averaged,
+            mean_interaction_drag=work[DRAG_SUM] / averaged,
+            run_id=run_id,
+            epoch=epoch,
+        )
 
 
 class LockstepMotion(Motion):
@@ -98,6 +119,7 @@ class LockstepMotion(Motion):
         )
         remembers = configuration.link_table.remembers(bird)
         self._receiver = LinkReceiver(bird, configuration) if remembers else None
+        inbox.words[EVERY] = self._every
         arrays = (self._own, self._interactions, inbox.heard, self._mine, self._work, self._said)
         for address, array in enumerate(arrays, OWN):
             assert array.flags.c_contiguous

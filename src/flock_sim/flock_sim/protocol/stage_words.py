@@ -32,15 +32,17 @@ TICK, END, EXCHANGE, NEXT, SIDE = range(5)
 RUN_ID, EPOCH, BIRD, MEMBERS, SIZE, NEIGHBOURS = range(5, 11)
 # Number of messages sent in this epoch, and of messages of other runs since they were counted.
 SENT, FOREIGN = 11, 12
+# Number of steps between recorded states.
+EVERY = 13
 # Number of messages that are lacking on each side.
-LACKING = 13
+LACKING = 14
 # The addresses of the array arguments of `feel_and_move`, and of the last two messages sent.
-OWN, INTERACTIONS, HEARD, MINE, WORK, SAID = range(15, 21)
+OWN, INTERACTIONS, HEARD, MINE, WORK, SAID = range(16, 22)
 # The addresses of the publisher, of the buffer for incoming messages, and of the messages to send
 # on each side: structures of rcl.
-PUBLISHER, INCOMING, OUTGOING = 21, 22, 23
+PUBLISHER, INCOMING, OUTGOING = 22, 23, 24
 # The header of the message that is being checked.
-HEADER = 25
+HEADER = 26
 # For each neighbour: its number, the address of the subscription to it, and whether its message has
 # arrived on each side.
 FIRST = HEADER + HEADER_WORDS

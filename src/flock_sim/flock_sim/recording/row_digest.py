@@ -11,8 +11,8 @@ from flock_sim.analysis.state_digest import StateDigest
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.state_layout import fields_of
-from flock_sim.messages.types import STATE_STEP_AT, State
+from flock_sim.messages.state_layout import fields_of, has_means
+from flock_sim.messages.types import ARRAYS, STATE_STEP_AT, VALUES, State
 
 Message = tuple[str, int, bytes]
 """Topic, log time in ns, serialised data."""
@@ -34,8 +34,10 @@ class RowDigest:
         self._digest = StateDigest()
         self._hashed = 0  # rows
         self._waiting: list[bytes] = []  # states of whole rows that are not hashed yet
-        self._size = State.lengths(self._members).size  # of a state, in bytes
-        self._most = max(1, BATCH // self._size)
+        # Of a state, in bytes: with means, or without them as in bags of earlier versions.
+        counts = len(ARRAYS), len(VALUES)
+        self._sizes = [State.lengths(self._members, count).size for count in counts]
+        self._most = max(1, BATCH // self._sizes[0])
         self._bird_of = {topics.state_topic(bird): bird for bird in birds}
 
     def add(self, states: Sequence[bytes]) -> None:
@@ -50,7 +52,7 @@ class RowDigest:
         row_step = b""
         for message in messages:
             bird, data = self._bird_of.get(message[0]), message[2]
-            if bird is not None and len(data) == self._size:
+            if bird is not None and len(data) in self._sizes:
                 step = data[STATE_STEP_AT : STATE_STEP_AT + 8]
                 if step != row_step:
                     row.clear()
@@ -81,8 +83,11 @@ class RowDigest:
         """Hash the rows that wait; all are left out if a state is not in Flock's layout."""
         states, self._waiting = self._waiting, []
         block = b"".join(states)
-        if states and len(block) == self._size * len(states):
-            step, time, values = fields_of(block, self._members)
+        size = len(states[0]) if states else 0
+        if size in self._sizes and len(block) == size * len(states):
+            with_means = has_means(states[0], self._members)
+            step, time, values = fields_of(block, self._members, with_means)
+            values = values[:, : len(VALUES)]
             first = slice(None, None, self._birds)  # the state of bird 1 has step and time
             rows = values.reshape(-1, self._birds, *values.shape[1:]).swapaxes(1, 2)
             self._digest.add_rows(step[first].astype(np.int64), time[first], rows)

@@ -23,10 +23,11 @@ from flock_sim.physics.stage_kernels import (
     OTHER_CIRCULATION,
     compute_drags,
     move,
+    sum_up,
 )
 
-RECORDED = 4
-"""Number of recorded quantities of a bird: position, speed, circulation, interaction drag."""
+RECORDED = 6
+"""Number of recorded quantities of a bird, which are the ARRAYS of a state, in this order."""
 
 
 @kernel
@@ -159,12 +160,18 @@ def record(
     speed: FloatArray,
     circulation: FloatArray,
     drag: FloatArray,
+    sums: FloatArray,
+    averaged: int,
     recorded: FloatArray,
 ) -> None:
-    """Fill `recorded`, shape (4, birds * members); the others have shape (birds * members,)."""
+    """Fill `recorded`, shape (6, birds * members); the others have shape (birds * members,).
+
+    `sums`, shape (2, birds * members), are those of `sum_up`, over as many steps as `averaged`.
+    """
     for i in range(position.shape[0]):
         recorded[0, i], recorded[1, i] = position[i], speed[i]
         recorded[2, i], recorded[3, i] = circulation[i], drag[i]
+        recorded[4, i], recorded[5, i] = sums[0, i] / averaged, sums[1, i] / averaged
 
 
 @kernel
@@ -181,11 +188,13 @@ def advance(
     faults: FloatArray,
     memory: FloatArray,
     interactions: FloatArray,
+    sums: FloatArray,
     recorded: FloatArray,
 ) -> None:
     """Take the steps from `first` to below `until` in place, recording multiples of `every`.
 
-    `recorded` has shape (records, 4, birds, members); the others are as in `forces`.
+    `sums`, shape (2, birds * members), are those of `sum_up`; `recorded` has shape
+    (records, 6, birds, members); the others are as in `forces`.
     """
     position_now, speed_now = position.copy(), speed.copy()
     circulation, drag = np.empty_like(speed), np.empty_like(speed)
@@ -211,9 +220,13 @@ def advance(
                 circulation,
                 drag,
             )
-            if stage == 0 and step % every == 0:
-                record(*start, *present, recorded[records].reshape(RECORDED, -1))
-                records += 1
+            if stage == 0:
+                sum_up(step, every, start[1], present[1], sums[0], sums[1])
+                if step % every == 0:
+                    averaged = every if step else 1
+                    row = recorded[records].reshape(RECORDED, -1)
+                    record(*start, *present, sums, averaged, row)
+                    records += 1
             move(stage, dt, coefficients, present[1], *start, slopes[0], slopes[1], *now)
         for i in range(speed.size):
             start[0][i], start[1][i] = now[0][i], now[1][i]

@@ -17,6 +17,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.physics.stage_kernels import sum_up
 from flock_sim.reference.flock_kernel import RECORDED, flying
 
 
@@ -61,6 +62,7 @@ class Reference:
             plan.memory(),
             self.flock.interactions(interacting),
         )
+        self._sums = np.zeros((2, self.speed.size))
         self._pushes = deque(in_order([*configuration.pushes, *live]))
         for perturbation in self._pushes:
             perturbation.check(birds, members, configuration.steps)
@@ -84,8 +86,8 @@ class Reference:
     def advance(self, steps: int) -> FloatArray:
         """Take `steps` steps; return the states recorded on the way.
 
-        The result has shape (records, 4, birds, members): position, speed, circulation and
-        interaction drag at the beginning of every step taken that is a multiple of `record_every`.
+        The result has shape (records, 6, birds, members): the ARRAYS of a state at the beginning of
+        every step taken that is a multiple of `record_every`.
         """
         end = self.step + steps
         due = self._records_before(end) - self._records_before(self.step)
@@ -114,6 +116,7 @@ class Reference:
             until,
             flown.record_every,
             *self._flown,
+            self._sums,
             recorded,
         )
         self.step = until
@@ -126,7 +129,7 @@ class Reference:
             perturbation.push(self.position[row], self.speed[row])
 
     def observe(self) -> FloatArray:
-        """Return the present state as `advance` records it, shape (4, birds, members)."""
+        """Return the present state as `advance` records it, shape (6, birds, members)."""
         coefficients, pairs, links, faults, memory, interactions = self._flown
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
         self._forces(
@@ -143,4 +146,7 @@ class Reference:
             circulation,
             drag,
         )
-        return np.stack([self.position, self.speed, circulation, drag])
+        sums, step, every = self._sums.copy(), self.step, self.configuration.record_every
+        sum_up(step, every, self.speed.ravel(), drag.ravel(), *sums)
+        means = sums.reshape(2, *drag.shape) / self.configuration.steps_averaged(step)
+        return np.stack([self.position, self.speed, circulation, drag, *means])

@@ -30,6 +30,7 @@ from flock_sim.protocol.stage_words import (
     ADDRESS,
     EACH,
     END,
+    EVERY,
     FIRST,
     FOREIGN,
     HEARD,
@@ -117,7 +118,7 @@ def exchange(words: IntArray, dt: float, thorough: bool) -> int:
                 return outcome
         if words[LACKING + words[SIDE]]:
             return WAITS
-        feel_and_move(words[TICK], dt, own, interactions, heard, mine, work)
+        feel_and_move(words[TICK], dt, words[EVERY], own, interactions, heard, mine, work)
         words[TICK] += 1
         turn(words, words[TICK] + 1)
         say(words)

@@ -14,7 +14,7 @@ import numpy as np
 from flock_sim.analysis.metrics import plain
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.types import ARRAYS, Grant, State, Wing
+from flock_sim.messages.types import MEANS, VALUES, Grant, State, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
@@ -304,5 +304,6 @@ class View:
 
 def _members(state: State) -> int | None:
     """Return the number of members of a state; None if its arrays disagree, as no bird's do."""
-    lengths = {len(getattr(state, name)) for name in ARRAYS}
+    lengths = {len(getattr(state, name)) for name in VALUES}
+    lengths |= {len(getattr(state, name)) for name in MEANS} - {0}  # none in earlier versions
     return max(lengths) or None if len(lengths) == 1 else None

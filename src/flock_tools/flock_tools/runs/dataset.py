@@ -31,6 +31,12 @@ ATTRIBUTES = {
     "speed": ("speed", "U_i", "U_min"),
     "circulation": ("circulation of the bound vortex", "Gamma_i", "b U_min"),
     "interaction_drag": ("interaction drag; negative: drag saved", "sum_j D_ji", "rho b^2 U_min^2"),
+    "mean_speed": ("mean speed over the steps since the last record", "<U_i>", "U_min"),
+    "mean_interaction_drag": (
+        "mean interaction drag over the steps since the last record",
+        "<sum_j D_ji>",
+        "rho b^2 U_min^2",
+    ),
     "span_ratio": ("wing span over that of the standard bird", "lambda_i", "1"),
     "lateral": ("lateral position of the wing's centre, from the leader", "y_i", "b"),
 }
@@ -45,7 +51,9 @@ def load(
         run = load("runs/demo")
         run.speed.std("bird").plot(yscale="log")
 
-    `position`, `speed`, `circulation` and `interaction_drag` have dims (time, bird, member),
+    `position`, `speed`, `circulation`, `interaction_drag`, and the means `mean_speed` and
+    `mean_interaction_drag` over all steps since the recorded state before (nan in bags of versions
+    that did not record them) have dims (time, bird, member),
     `span_ratio` and `lateral` (bird, member), the coordinate `step` (time); all dimensionless, with
     `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
     the configuration, the leader and the unit of time in s. A truncated bag also has `missing`; its
@@ -107,7 +115,7 @@ def read(
 
 
 def _values(run: Run, rows: range) -> FloatArray:
-    """Return the values of `rows`, shape (4, rows, birds, members); nan if not recorded."""
+    """Return the values of `rows`, shape (6, rows, birds, members); nan if not recorded."""
     configuration = run.configuration
     birds = range(1, configuration.birds + 1)
     column = {topics.state_topic(bird): bird - 1 for bird in birds}
