@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
+from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.physics.arrays import FloatArray
 
 MOST_MEMBERS = 12
@@ -13,7 +14,7 @@ WIDTH = 8
 """Number of values per line."""
 
 
-def summary(metrics: Metrics) -> str:
+def summary(metrics: Metrics, means: TimeMeans) -> str:
     """Return the lines that `fly`, `reference` and `metrics` print."""
     flock = f"{metrics.birds} bird{'s' * (metrics.birds > 1)}, {metrics.coupling} coupling"
     if metrics.members > 1:
@@ -23,7 +24,7 @@ def summary(metrics: Metrics) -> str:
     shown = min(metrics.members, MOST_MEMBERS)
     for m in range(shown):
         lines += ["", f"member {m + 1}"] if metrics.members > 1 else []
-        lines += _member(metrics, m)
+        lines += _member(metrics, means, m)
     if shown < metrics.members:
         lines += ["", f"... and {metrics.members - shown} members more"]
     if metrics.members > 1:
@@ -31,7 +32,7 @@ def summary(metrics: Metrics) -> str:
     return "\n".join(lines)
 
 
-def _member(metrics: Metrics, m: int) -> list[str]:
+def _member(metrics: Metrics, means: TimeMeans, m: int) -> list[str]:
     stable = metrics.stable[m]
     criterion = f"(sigma_U {'<' if stable else 'not <'} {STABLE_BELOW:g})"
     lines = [
@@ -39,6 +40,7 @@ def _member(metrics: Metrics, m: int) -> list[str]:
         f"  mean speed U*        {metrics.mean_speed[m]:.9f} U_min",
         f"  spread sigma_U       {metrics.speed_std[m]:.3e} U_min",
         f"  mean drag reduction  {100 * metrics.mean_drag_reduction[m]:.2f} %",
+        f"  mean over time       {_over_time(means, m)}",
     ]
     if metrics.birds > 1:
         lines += wings(metrics.spacing[m], metrics.drag_reduction[m], metrics.leader)
@@ -48,6 +50,15 @@ def _member(metrics: Metrics, m: int) -> list[str]:
     if error is not None:
         lines += [f"  linear law           D/C = 1 - (i-1)/N to {error:.1e}"]
     return lines
+
+
+def _over_time(means: TimeMeans, m: int) -> str:
+    if not means.recorded:
+        return "not in this bag, which was recorded by an earlier version"
+    return (
+        f"{100 * means.time_mean_drag_reduction[m]:.2f} % of drag saved, speed "
+        f"{means.time_mean_speed[m]:.6f} U_min (t = {means.averaged_from:g} to {means.until:g})"
+    )
 
 
 def count_of_verdicts(metrics: Metrics) -> str:

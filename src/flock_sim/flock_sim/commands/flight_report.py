@@ -43,7 +43,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     is less than that of the configuration if the flight was stopped.
     """
     last = flight["last_step"]
-    metrics = fresh = None
+    metrics = means = fresh = None
     own: list[OwnPart] = []
     if flight["output"] is not None:
         # Imported at the end of a flight, so that they do not delay its start.
@@ -54,6 +54,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
 
         with Run(flight["output"]) as run:
             metrics = run.metrics()
+            means = run.time_means(metrics.t_final)
             fresh, own = freshness(run), run.own_parts
     if last < configuration.steps:
         on = "" if flight["output"] is None else f"; fly --resume {flight['output']} continues it"
@@ -67,12 +68,12 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     if own:
         note(f"note: {lacking(own)}")
     if as_json:
-        said = [known.as_json() for known in (metrics, fresh) if known is not None]
+        said = [known.as_json() for known in (metrics, means, fresh) if known is not None]
         said.append({"own_parts": [str(part) for part in own]})
         print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
-    if metrics is not None:
-        print(summary(metrics))
+    if metrics is not None and means is not None:
+        print(summary(metrics, means))
     if fresh is not None:
         print("\n".join(fresh.told()))
     if flight["wall_seconds"]:

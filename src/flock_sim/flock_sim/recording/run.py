@@ -7,6 +7,7 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -14,13 +15,15 @@ import numpy as np
 
 from flock_sim import __version__
 from flock_sim.analysis.metrics import Metrics, measure
+from flock_sim.analysis.time_means import Averaging, TimeMeans
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import in_order
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.state_layout import members_of, steps_of, values_of
+from flock_sim.messages.types import VALUES
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
@@ -39,6 +42,9 @@ from flock_sim.recording.own_parts import (
     recorded_parts,
     unknown_link_models,
 )
+
+BLOCK = 4096
+"""Number of states that are read at once."""
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -248,6 +254,35 @@ class Run:
         """Return the metrics at `time` in b / U_min; at the last recorded step if None."""
         return measure(self.configuration, self.at(time))
 
+    def time_means(self, until: float, over: float | None = None) -> TimeMeans:
+        """Return the means over the time `over` up to the recorded time `until`, in b / U_min.
+
+        `over` None is a tenth of the time up to `until`. Raises FlockError as `Averaging`, and if a
+        state is not as Flock writes it.
+        """
+        flown = self.configuration
+        averaging = Averaging(flown, until, over)
+        bird_of = self._bird_of(topics.state_topic)
+        start, end = flown.stamp(averaging.first), flown.stamp(averaging.last) + 1
+        messages_of_states = self.bag.messages(list(bird_of), start, end)
+        while block := list(islice(messages_of_states, BLOCK)):
+            states = [self._as_written(topic, data) for topic, _, data in block]
+            averaging.add(
+                np.array([bird_of[topic] - 1 for topic, _, _ in block]),
+                steps_of(states),
+                values_of(states, flown.members)[:, len(VALUES) :],
+            )
+        return averaging.result()
+
+    def _as_written(self, topic: str, data: bytes) -> bytes:
+        """Return an encoded state if it has the layout and the members of this flight."""
+        if members_of(data) == self.configuration.members:
+            return data
+        raise FlockError(
+            f"{self.path}: {topic}: a state is not as Flock writes it for "
+            f"{self.configuration.members} members; take another copy of the bag"
+        )
+
     def _last(self) -> FlockState:
         """Return the last complete row; in a bag that was cut short, a few rows may follow it."""
         end = self.bag.last_time
@@ -264,7 +299,7 @@ class Run:
     def _snapshot(self, row: dict[int, messages.State]) -> FlockState:
         states = [row[bird] for bird in sorted(row)]
         members = self.configuration.members
-        if any(len(getattr(state, name)) != members for state in states for name in ARRAYS):
+        if any(len(getattr(state, name)) != members for state in states for name in VALUES):
             raise FlockError(
                 f"{self.path}: the states of step {states[0].step} have not the {members} "
                 "members of the configuration; take another copy of the bag"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flock_sim.console.arguments import Parser, note, print_json, run_tool
-from flock_tools.commands.options import add_moment_option, moment
+from flock_tools.commands.options import add_moment_option, moment, span
 
 if TYPE_CHECKING:
     from flock_sim.recording.message_age import Deviation
@@ -23,7 +23,7 @@ flight in lockstep, which is integrated for this purpose."""
 
 EXAMPLES = """\
   ./flock metrics runs/demo
-  ./flock metrics runs/demo --at 500
+  ./flock metrics runs/demo --at 500 --over 100
   ./flock metrics runs/demo --json | jq .speed_std"""
 
 
@@ -32,9 +32,14 @@ def tool(arguments: Sequence[str]) -> int:
     parser = Parser("metrics", DESCRIPTION, EXAMPLES)
     parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag")
     add_moment_option(parser)
+    parser.add_argument(
+        "--over",
+        metavar="T",
+        help="average over the time T before, in b/U_min (a tenth of the time flown)",
+    )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     options = parser.parse_args(arguments)
-    time = moment(options)
+    time, over = moment(options), span(options)
 
     from flock_sim.analysis.summary import summary
     from flock_sim.recording.message_age import freshness
@@ -47,14 +52,16 @@ def tool(arguments: Sequence[str]) -> int:
         if run.own_parts:
             note(f"note: {run.path} was {lacking(run.own_parts)}")
         metrics, fresh = run.metrics(time), freshness(run)
+        means = run.time_means(metrics.t_final, over)
         own, digest = run.own_parts, run.state_digest
         off = _deviation(run) if fresh and not names(own, BIRD) else None
     if options.json:
         free = fresh.as_json() | {"deviation": off and off.as_json()} if fresh else {}
         parts = {"own_parts": [str(part) for part in own]}
-        print_json({**metrics.as_json(), **free, "state_digest": digest, **parts})
+        known = {**metrics.as_json(), **means.as_json(), **free}
+        print_json({**known, "state_digest": digest, **parts})
         return 0
-    print(summary(metrics))
+    print(summary(metrics, means))
     if fresh:
         print("\n".join([*fresh.told(), *(off.told() if off else [])]))
     return 0

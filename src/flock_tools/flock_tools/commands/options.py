@@ -33,6 +33,19 @@ def moment(options: argparse.Namespace) -> float | None:
     return time
 
 
+def span(options: argparse.Namespace) -> float | None:
+    """Return the time of --over in b / U_min, None without it. Raises FlockError if invalid."""
+    if options.over is None:
+        return None
+    try:
+        time = float(options.over)
+    except ValueError:
+        time = math.nan
+    if not 0.0 < time < math.inf:
+        raise FlockError(f"--over {shown(options.over)}: must be a finite time above 0")
+    return time
+
+
 def add_scheduler_option(group: argparse._ArgumentGroup, does: str) -> None:
     """Add --scheduler; `does` is what a cluster does for the tool, such as "computes"."""
     group.add_argument(

@@ -55,7 +55,9 @@ def tool(arguments: Sequence[str]) -> int:
             note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
         metrics = run.metrics(time)
-        figure = draw(run.configuration, metrics, _history(run).sel(member=member), member)
+        means = run.time_means(metrics.t_final)
+        history = _history(run).sel(member=member)
+        figure = draw(run.configuration, metrics, means, history, member)
     write_picture(figure, output)
     print(output)
     return 0

@@ -85,7 +85,7 @@ def delayed_flights(model: str) -> list[Delayed]:
     link = f"{model}:delay=" + "/".join(map(str, DELAYS))
     configuration = FlockConfiguration(birds=3, t_max=T_STEADY, record_every=10, links=(link,))
     states = list(Reference(configuration).fly())
-    speed = np.array([state.speed for state in states])
+    speed = np.array([state.mean_speed for state in states])
     gap = np.array([state.position[1] - state.position[0] for state in states])
     time = np.array([state.step * configuration.dt for state in states])
     late = slice(len(states) * 9 // 10, None)

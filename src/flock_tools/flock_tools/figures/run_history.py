@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
+from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.plan_view import PlanView, draw_formation
@@ -26,7 +27,11 @@ TIME = "time t (b/$U_\\mathrm{min}$)"
 
 
 def draw(
-    configuration: FlockConfiguration, metrics: Metrics, history: xr.Dataset, member: int
+    configuration: FlockConfiguration,
+    metrics: Metrics,
+    means: TimeMeans,
+    history: xr.Dataset,
+    member: int,
 ) -> Figure:
     """Return the picture of `member` (from 1) at the moment of `metrics`.
 
@@ -36,12 +41,12 @@ def draw(
     height = (WIDTH - MARGINS) * view.height / view.width
     with mpl.rc_context(STYLE):
         figure = Figure(
-            figsize=(WIDTH, height + CURVES + 1.75),
+            figsize=(WIDTH, height + CURVES + 1.95),
             layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1),
         )
         grid = figure.add_gridspec(2, 2, height_ratios=(height, CURVES))
         figure.suptitle(
-            _heading(configuration, metrics, member - 1), x=0.02, ha="left", fontsize=10
+            _heading(configuration, metrics, means, member - 1), x=0.02, ha="left", fontsize=10
         )
         draw_formation(figure, figure.add_subplot(grid[0, :]), view)
         if configuration.birds == 1:
@@ -57,7 +62,7 @@ def draw(
     return figure
 
 
-def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str:
+def _heading(configuration: FlockConfiguration, metrics: Metrics, means: TimeMeans, m: int) -> str:
     facts = []
     if metrics.birds > 1:
         facts = [metrics.verdict(m), f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
@@ -65,7 +70,17 @@ def _heading(configuration: FlockConfiguration, metrics: Metrics, m: int) -> str
         f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
         f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",
     ]
-    return f"{flock_name(configuration, m)}\nt = {metrics.t_final:g}:  {',  '.join(facts)}"
+    lines = [
+        flock_name(configuration, m),
+        f"t = {metrics.t_final:g}:  {',  '.join(facts)}",
+    ]
+    if means.recorded:
+        lines += [
+            f"mean over t = {means.averaged_from:g} to {means.until:g}:  speed "
+            f"{means.time_mean_speed[m]:.4f} $U_\\mathrm{{min}}$,  drag reduction "
+            f"{100 * means.time_mean_drag_reduction[m]:.1f} %"
+        ]
+    return "\n".join(lines)
 
 
 def _speed(axes: Axes, history: xr.Dataset) -> Axes:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from flock_sim.analysis.metrics import Metrics
+from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
 from flock_sim.physics.arrays import FloatArray
@@ -129,6 +130,8 @@ class Reported:
     """Real-time factor of a free flight; 0: in lockstep."""
     missing: str | None
     metrics: Metrics
+    means: TimeMeans
+    """Means over the last tenth of the flight."""
     history: History
     theory: Theory
     pushes: list[str]
@@ -157,6 +160,7 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
         factor=run.real_time_factor,
         missing=run.missing,
         metrics=metrics,
+        means=run.time_means(metrics.t_final),
         history=history(run, metrics.steps, members, room.buckets, show),
         theory=theory(run, metrics),
         pushes=[str(push) for push in run.perturbations()],

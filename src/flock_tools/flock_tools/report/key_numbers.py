@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.analysis.summary import count_of_verdicts, hierarchy
+from flock_sim.analysis.time_means import TimeMeans
 from flock_tools.report.data import Reported
 
 MOST_ROWS = 500
@@ -33,6 +34,7 @@ COLUMNS = tuple(
         "mean speed (U<sub>min</sub>)",
         "spread σ<sub>U</sub> (U<sub>min</sub>)",
         "drag saved (%)",
+        "drag saved, mean over time (%)",
         "spacing falls to the leader",
         "deviation from the linear law",
         "deviation from the exact state (b)",
@@ -89,6 +91,13 @@ def rows(runs: Sequence[Reported]) -> list[Row]:
     return [_row(r, runs[r], m) for r, m in places[:MOST_ROWS]]
 
 
+def _over_time(means: TimeMeans, m: int) -> str:
+    if not means.recorded:
+        return "not recorded"
+    saved = 100.0 * means.time_mean_drag_reduction[m]
+    return f"{saved:.2f} (t = {means.averaged_from:g} to {means.until:g})"
+
+
 def _row(r: int, run: Reported, m: int) -> Row:
     metrics, assessment = run.metrics, run.theory.assessment
     error = metrics.profile_error[m]
@@ -98,6 +107,7 @@ def _row(r: int, run: Reported, m: int) -> Row:
         f"{metrics.mean_speed[m]:.9f}",
         f"{metrics.speed_std[m]:.3e}",
         f"{100.0 * metrics.mean_drag_reduction[m]:.2f}",
+        _over_time(run.means, m),
         ordered,
         "-" if error is None else f"{error:.1e}",
         "-" if np.isnan(off) else f"{off:.1e}",

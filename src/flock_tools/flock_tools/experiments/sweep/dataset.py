@@ -30,6 +30,12 @@ ATTRIBUTES = {
     "holds": (f"whether the flock holds together, sigma_U < {STABLE_BELOW:g}", "1"),
     "diverged": ("whether positions or speeds are not finite at the end", "1"),
     "mean_drag_reduction": ("drag saved at the end, mean over the birds", "1"),
+    "time_mean_speed": ("mean speed of the birds from averaged_from to the end", "U_min"),
+    "time_mean_drag_reduction": (
+        "drag saved, mean from averaged_from to the end and over the birds",
+        "1",
+    ),
+    "averaged_from": ("time from which time means are computed", "b/U_min"),
     "mean_spacing": ("mean distance along the flight of neighbours at the end", "b"),
     "flight": ("number of the flight", "1"),
     "member": ("number of the member in its flight", "1"),
@@ -94,12 +100,16 @@ def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
     """Return the results of a flight: arrays whose first dimension is the member."""
     with Run(bag) as run:
         end = run.at()
+        means = run.time_means(end.time)
     configuration = flight.configuration
     if end.step != configuration.steps:
         raise FlockError(f"{bag}: ends at step {end.step} of {configuration.steps}; fly it again")
     metrics = measure(configuration, end)
     return {
         **_told(metrics, end),
+        "time_mean_speed": means.time_mean_speed,
+        "time_mean_drag_reduction": means.time_mean_drag_reduction,
+        "averaged_from": np.full(configuration.members, means.averaged_from),
         "flight": np.full(configuration.members, flight.number, dtype=np.int32),
         "member": np.arange(1, configuration.members + 1, dtype=np.int32),
     }
