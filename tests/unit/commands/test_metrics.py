@@ -20,6 +20,7 @@ KEYS = {
     *("birds", "members", "coupling", "dt", "steps", "t_final", "leader", "mean_speed"),
     *("speed_std", "stable", "spacing", "position", "lateral", "drag_reduction"),
     *("mean_drag_reduction", "hierarchical", "profile_error", "state_digest"),
+    *("verdict", "verdict_reason", "stalled_at", "stalled_bird"),
 }
 
 
@@ -45,6 +46,7 @@ def test_the_json_is_the_contract(run: Path, capsys: pytest.CaptureFixture[str])
     shapes = {
         **dict.fromkeys(("mean_speed", "speed_std", "stable"), (2,)),
         **dict.fromkeys(("mean_drag_reduction", "hierarchical", "profile_error"), (2,)),
+        **dict.fromkeys(("verdict", "verdict_reason", "stalled_at", "stalled_bird"), (2,)),
         **dict.fromkeys(("position", "lateral", "drag_reduction"), (2, 5)),
         "spacing": (2, 4),
     }

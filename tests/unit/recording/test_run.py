@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flock_sim.analysis.flight_verdict import Flown
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.commands.reference import row
@@ -225,3 +226,26 @@ def test_no_file_is_left_open(flight: Path, tmp_path: Path) -> None:
     with pytest.raises(FlockError):
         Run(tmp_path / "foreign")
     gc.collect()
+
+
+def test_the_verdict_on_a_bag_is_that_on_the_same_states_in_memory(tmp_path: Path) -> None:
+    configuration = FlockConfiguration(
+        birds=3, t_max=9000.0, span_ratios=("1=1,0.7,1",), perturbations=("1:3@500=0,-0.72",)
+    )
+    flown = Flown(configuration, list(Reference(configuration).fly()))
+    with Run(record(tmp_path / "run", configuration)) as run:
+        assert run.verdicts() == flown.verdicts()
+        assert run.verdicts(400.0).verdict == ["settling"] * 3
+    assert flown.verdicts().verdict == ["holds", "apart", "stalled"]
+
+
+def test_few_of_many_rows_are_found_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    configuration = FlockConfiguration(birds=3, t_max=600.0, record_every=1)
+    with Run(record(tmp_path / "run", configuration)) as run:
+        together = [state.position for state in run.snapshots_at([0, 7, 300, 600])]
+        monkeypatch.setattr("flock_sim.recording.run.SPARSE", 1)
+        apart = [state.position for state in run.snapshots_at([0, 7, 300, 600])]
+    assert len(apart) == 4
+    np.testing.assert_array_equal(apart, together)

@@ -7,6 +7,7 @@ import numpy as np
 
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
 from flock_sim.analysis.time_means import TimeMeans
+from flock_sim.analysis.verdict import Verdicts
 from flock_sim.physics.arrays import FloatArray
 
 MOST_MEMBERS = 12
@@ -14,7 +15,7 @@ WIDTH = 8
 """Number of values per line."""
 
 
-def summary(metrics: Metrics, means: TimeMeans) -> str:
+def summary(metrics: Metrics, means: TimeMeans, verdicts: Verdicts) -> str:
     """Return the lines that `fly`, `reference` and `metrics` print."""
     flock = f"{metrics.birds} bird{'s' * (metrics.birds > 1)}, {metrics.coupling} coupling"
     if metrics.members > 1:
@@ -24,21 +25,21 @@ def summary(metrics: Metrics, means: TimeMeans) -> str:
     shown = min(metrics.members, MOST_MEMBERS)
     for m in range(shown):
         lines += ["", f"member {m + 1}"] if metrics.members > 1 else []
-        lines += _member(metrics, means, m)
+        lines += _member(metrics, means, verdicts, m)
     if shown < metrics.members:
         lines += ["", f"... and {metrics.members - shown} members more"]
     if metrics.members > 1:
-        lines += ["", count_of_verdicts(metrics)]
+        stable = f"{sum(metrics.stable)} with sigma_U < {STABLE_BELOW:g}"
+        lines += ["", f"{metrics.members} members: {verdicts.counted()}; {stable}"]
     return "\n".join(lines)
 
 
-def _member(metrics: Metrics, means: TimeMeans, m: int) -> list[str]:
-    stable = metrics.stable[m]
-    criterion = f"(sigma_U {'<' if stable else 'not <'} {STABLE_BELOW:g})"
+def _member(metrics: Metrics, means: TimeMeans, verdicts: Verdicts, m: int) -> list[str]:
+    paper = f"{'' if metrics.stable[m] else 'not '}stable by the paper's criterion"
     lines = [
-        f"  verdict              {metrics.verdict(m)} {criterion}",
+        f"  verdict              {verdicts.verdict[m]}: {verdicts.verdict_reason[m]}",
         f"  mean speed U*        {metrics.mean_speed[m]:.9f} U_min",
-        f"  spread sigma_U       {metrics.speed_std[m]:.3e} U_min",
+        f"  spread sigma_U       {metrics.speed_std[m]:.3e} U_min ({paper}, < {STABLE_BELOW:g})",
         f"  mean drag reduction  {100 * metrics.mean_drag_reduction[m]:.2f} %",
         f"  mean over time       {_over_time(means, m)}",
     ]

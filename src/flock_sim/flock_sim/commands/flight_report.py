@@ -43,7 +43,7 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     is less than that of the configuration if the flight was stopped.
     """
     last = flight["last_step"]
-    metrics = means = fresh = None
+    metrics = means = verdicts = fresh = digest = None
     own: list[OwnPart] = []
     if flight["output"] is not None:
         # Imported at the end of a flight, so that they do not delay its start.
@@ -53,9 +53,9 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
         from flock_sim.recording.run import Run
 
         with Run(flight["output"]) as run:
-            metrics = run.metrics()
+            metrics, verdicts = run.metrics(), run.verdicts()
             means = run.time_means(metrics.t_final)
-            fresh, own = freshness(run), run.own_parts
+            fresh, own, digest = freshness(run), run.own_parts, run.state_digest
     if last < configuration.steps:
         on = "" if flight["output"] is None else f"; fly --resume {flight['output']} continues it"
         note(f"note: the flight was ended at step {last} of {configuration.steps}{on}")
@@ -68,12 +68,13 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
     if own:
         note(f"note: {lacking(own)}")
     if as_json:
-        said = [known.as_json() for known in (metrics, means, fresh) if known is not None]
-        said.append({"own_parts": [str(part) for part in own]})
+        measured = (metrics, means, verdicts, fresh)
+        said = [known.as_json() for known in measured if known is not None]
+        said.append({"own_parts": [str(part) for part in own], "state_digest": digest})
         print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
-    if metrics is not None and means is not None:
-        print(summary(metrics, means))
+    if metrics is not None and means is not None and verdicts is not None:
+        print(summary(metrics, means, verdicts))
     if fresh is not None:
         print("\n".join(fresh.told()))
     if flight["wall_seconds"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -14,8 +14,10 @@ from typing import Self, TypeVar
 import numpy as np
 
 from flock_sim import __version__
+from flock_sim.analysis.flight_verdict import flight_verdicts
 from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.analysis.time_means import Averaging, TimeMeans
+from flock_sim.analysis.verdict import Verdicts
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
@@ -45,6 +47,9 @@ from flock_sim.recording.own_parts import (
 
 BLOCK = 4096
 """Number of states that are read at once."""
+
+SPARSE = 50
+"""Mean number of rows between wanted ones above which each of them is sought in the bag."""
 
 Message = TypeVar("Message", bound=messages.Message)
 
@@ -217,8 +222,33 @@ class Run:
 
     def snapshots(self, start: int | None = None) -> Iterator[FlockState]:
         """Yield every complete recorded step, from simulated time `start` in ns."""
+        return self._complete(self.states(start))
+
+    def snapshots_at(self, steps: Sequence[int]) -> Iterator[FlockState]:
+        """Yield those of `steps`, which ascend, that are recorded completely.
+
+        States at other steps are not decoded.
+        """
+        configuration = self.configuration
+        rows = (steps[-1] - steps[0]) // configuration.record_every
+        if len(steps) > 1 and rows > SPARSE * len(steps) and self.bag.message_counts is not None:
+            for step in steps:  # each is found by the summary of the bag
+                yield from self.snapshots_at([step])
+            return
+        bird_of = self._bird_of(topics.state_topic)
+        stamps = {configuration.stamp(step) for step in steps}
+        found = self.bag.messages(list(bird_of), min(stamps), max(stamps) + 1)
+        wanted = (
+            (bird_of[topic], self.decode(topic, data))
+            for topic, time, data in found
+            if time in stamps
+        )
+        yield from (state for state in self._complete(wanted) if state.step in steps)
+
+    def _complete(self, states: Iterable[tuple[int, messages.State]]) -> Iterator[FlockState]:
+        """Yield the flock at every step of which the states of all birds follow each other."""
         row: dict[int, messages.State] = {}
-        for bird, state in self.states(start):
+        for bird, state in states:
             if row and state.step != next(iter(row.values())).step:
                 row = {}
             row[bird] = state
@@ -253,6 +283,11 @@ class Run:
     def metrics(self, time: float | None = None) -> Metrics:
         """Return the metrics at `time` in b / U_min; at the last recorded step if None."""
         return measure(self.configuration, self.at(time))
+
+    def verdicts(self, time: float | None = None) -> Verdicts:
+        """Return the verdicts on the flight up to `time` in b / U_min; to its end if None."""
+        pushes = [*self.configuration.pushes, *self.perturbations()]
+        return flight_verdicts(self, self.at(time), pushes)
 
     def time_means(self, until: float, over: float | None = None) -> TimeMeans:
         """Return the means over the time `over` up to the recorded time `until`, in b / U_min.

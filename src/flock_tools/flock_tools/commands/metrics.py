@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from flock_sim.recording.run import Run
 
 DESCRIPTION = """\
-Print the metrics of a recorded flight: does the flock hold together, its spacings, its drag saved.
+Print the metrics of a recorded flight: does the flock hold, its spacings, its drag saved. The
+verdict is holds, settling, apart or stalled (docs/model.md); stable is the paper's criterion.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
 For a free flight, also the age of the data that the birds used, and the deviation from the same
 flight in lockstep, which is integrated for this purpose."""
@@ -24,7 +25,7 @@ flight in lockstep, which is integrated for this purpose."""
 EXAMPLES = """\
   ./flock metrics runs/demo
   ./flock metrics runs/demo --at 500 --over 100
-  ./flock metrics runs/demo --json | jq .speed_std"""
+  ./flock metrics runs/demo --json | jq .verdict"""
 
 
 def tool(arguments: Sequence[str]) -> int:
@@ -52,16 +53,16 @@ def tool(arguments: Sequence[str]) -> int:
         if run.own_parts:
             note(f"note: {run.path} was {lacking(run.own_parts)}")
         metrics, fresh = run.metrics(time), freshness(run)
-        means = run.time_means(metrics.t_final, over)
+        means, verdicts = run.time_means(metrics.t_final, over), run.verdicts(time)
         own, digest = run.own_parts, run.state_digest
         off = _deviation(run) if fresh and not names(own, BIRD) else None
     if options.json:
         free = fresh.as_json() | {"deviation": off and off.as_json()} if fresh else {}
         parts = {"own_parts": [str(part) for part in own]}
-        known = {**metrics.as_json(), **means.as_json(), **free}
+        known = {**metrics.as_json(), **means.as_json(), **verdicts.as_json(), **free}
         print_json({**known, "state_digest": digest, **parts})
         return 0
-    print(summary(metrics, means))
+    print(summary(metrics, means, verdicts))
     if fresh:
         print("\n".join([*fresh.told(), *(off.told() if off else [])]))
     return 0
