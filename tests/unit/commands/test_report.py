@@ -232,7 +232,7 @@ def test_a_flock_whose_leader_is_nowhere_is_still_shown(tmp_path: Path) -> None:
         ),
     )
     page = reported(path, output=tmp_path / "a.html")
-    assert "does not hold together" in page.text
+    assert "the speed of bird 3 is not above 0" in page.text
     last = unpacked(page.data["runs"][0]["frame_position"])[-1, :, 0]
     position = load(path).position.to_numpy()[-1, :, 0]
     np.testing.assert_array_equal(last, (position - position[0]).astype("<f4"))

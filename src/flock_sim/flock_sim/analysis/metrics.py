@@ -18,10 +18,6 @@ STABLE_BELOW = 1e-4
 """A flock is stable if sigma_U is below this limit, in U_min."""
 
 
-EARLY = 100.0
-"""Time in b / U_min before which equal speeds can still be those of the start."""
-
-
 @dataclass(frozen=True)
 class Metrics:
     """The metrics of a flock; lists have one entry per member; birds go from tail to tail."""
@@ -53,13 +49,6 @@ class Metrics:
     profile_error: list[float | None]
     """Largest |D_{i,i-1} / C - (1 - (i - 1) / N)| on the left wing, Eq. (linear_general_x);
     None where it does not apply: not homogeneous, not nearest-neighbour, or N even."""
-
-    def verdict(self, m: int) -> str:
-        """Return in words whether the flock with index `m` holds together."""
-        if not self.stable[m]:
-            return "does not hold together"
-        early = self.birds > 1 and self.t_final < EARLY
-        return "too early to tell" if early else "holds together"
 
     def falling_wings(self, m: int) -> tuple[bool, bool]:
         """Return whether spacing falls strictly to the leader on the left and on the right wing.

@@ -62,14 +62,6 @@ def _over_time(means: TimeMeans, m: int) -> str:
     )
 
 
-def count_of_verdicts(metrics: Metrics) -> str:
-    """Return how many members hold together, as text."""
-    verdicts = [metrics.verdict(m) for m in range(metrics.members)]
-    held, early = verdicts.count("holds together"), verdicts.count("too early to tell")
-    text = f"{held} of {metrics.members} members hold together"
-    return f"{text}, for {early} it is too early to tell" if early else text
-
-
 def hierarchy(metrics: Metrics, m: int) -> str:
     """Return in words on which wings spacing falls from tail to leader."""
     left, right = metrics.falling_wings(m)

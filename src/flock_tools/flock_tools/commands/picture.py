@@ -54,10 +54,10 @@ def tool(arguments: Sequence[str]) -> int:
         if run.missing:
             note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
-        metrics = run.metrics(time)
+        metrics, verdicts = run.metrics(time), run.verdicts(time)
         means = run.time_means(metrics.t_final)
         history = _history(run).sel(member=member)
-        figure = draw(run.configuration, metrics, means, history, member)
+        figure = draw(run.configuration, metrics, means, verdicts, history, member)
     write_picture(figure, output)
     print(output)
     return 0

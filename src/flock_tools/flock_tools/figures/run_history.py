@@ -12,6 +12,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
 from flock_sim.analysis.time_means import TimeMeans
+from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.plan_view import PlanView, draw_formation
@@ -30,12 +31,14 @@ def draw(
     configuration: FlockConfiguration,
     metrics: Metrics,
     means: TimeMeans,
+    verdicts: Verdicts,
     history: xr.Dataset,
     member: int,
 ) -> Figure:
     """Return the picture of `member` (from 1) at the moment of `metrics`.
 
-    `history` is the history of the member from `dataset.load`, dims (time, bird).
+    `history` is the history of the member from `dataset.load`, dims (time, bird). The heading gives
+    the verdict on the member, if any.
     """
     view = PlanView.of(configuration, metrics, member - 1)
     height = (WIDTH - MARGINS) * view.height / view.width
@@ -46,7 +49,10 @@ def draw(
         )
         grid = figure.add_gridspec(2, 2, height_ratios=(height, CURVES))
         figure.suptitle(
-            _heading(configuration, metrics, means, member - 1), x=0.02, ha="left", fontsize=10
+            _heading(configuration, metrics, means, verdicts, member - 1),
+            x=0.02,
+            ha="left",
+            fontsize=10,
         )
         draw_formation(figure, figure.add_subplot(grid[0, :]), view)
         if configuration.birds == 1:
@@ -62,10 +68,16 @@ def draw(
     return figure
 
 
-def _heading(configuration: FlockConfiguration, metrics: Metrics, means: TimeMeans, m: int) -> str:
-    facts = []
+def _heading(
+    configuration: FlockConfiguration,
+    metrics: Metrics,
+    means: TimeMeans,
+    verdicts: Verdicts,
+    m: int,
+) -> str:
+    facts = [told(verdicts, m)]
     if metrics.birds > 1:
-        facts = [metrics.verdict(m), f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}"]
+        facts.append(f"$\\sigma_U$ = {metrics.speed_std[m]:.1e}")
     facts += [
         f"mean speed {metrics.mean_speed[m]:.4f} $U_\\mathrm{{min}}$",
         f"mean drag reduction {100 * metrics.mean_drag_reduction[m]:.1f} %",
@@ -81,6 +93,12 @@ def _heading(configuration: FlockConfiguration, metrics: Metrics, means: TimeMea
             f"{100 * means.time_mean_drag_reduction[m]:.1f} %"
         ]
     return "\n".join(lines)
+
+
+def told(verdicts: Verdicts, m: int) -> str:
+    """Return the verdict on the member with index `m`, with bird and time of a stall."""
+    word, bird, time = verdicts.verdict[m], verdicts.stalled_bird[m], verdicts.stalled_at[m]
+    return word if bird is None else f"{word}: bird {bird} at t = {time:g}"
 
 
 def _speed(axes: Axes, history: xr.Dataset) -> Axes:

@@ -13,6 +13,7 @@ import numpy as np
 
 from flock_sim.analysis.metrics import Metrics
 from flock_sim.analysis.time_means import TimeMeans
+from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
 from flock_sim.physics.arrays import FloatArray
@@ -132,6 +133,7 @@ class Reported:
     metrics: Metrics
     means: TimeMeans
     """Means over the last tenth of the flight."""
+    verdicts: Verdicts
     history: History
     theory: Theory
     pushes: list[str]
@@ -161,6 +163,7 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
         missing=run.missing,
         metrics=metrics,
         means=run.time_means(metrics.t_final),
+        verdicts=run.verdicts(),
         history=history(run, metrics.steps, members, room.buckets, show),
         theory=theory(run, metrics),
         pushes=[str(push) for push in run.perturbations()],

@@ -11,8 +11,9 @@ import numpy as np
 from markupsafe import Markup
 
 from flock_sim.analysis.metrics import STABLE_BELOW
-from flock_sim.analysis.summary import count_of_verdicts, hierarchy
+from flock_sim.analysis.summary import hierarchy
 from flock_sim.analysis.time_means import TimeMeans
+from flock_sim.analysis.verdict import HOLDS
 from flock_tools.report.data import Reported
 
 MOST_ROWS = 500
@@ -55,7 +56,7 @@ class Verdict:
     holds: bool
     words: str
     what: str
-    """Description of the flock and of the flight time."""
+    """Description of the flock and of the flight time, and the reason of the verdict."""
 
 
 @dataclass(frozen=True)
@@ -66,23 +67,23 @@ class Row:
     member: int | None
     """Index of the member; None if pictures do not show it."""
     name: str
+    verdict: str
     holds: bool
-    words: str
-    """The verdict."""
     cells: list[str]
 
 
 def verdict(run: Reported, named: bool) -> Verdict:
     """Return the verdict on `run`. `named` means that it is one of several."""
-    stable, flown = run.metrics.stable, run.configuration
-    if len(stable) > 1:
-        words = count_of_verdicts(run.metrics)
-    else:
-        words = run.metrics.verdict(0)
+    verdicts, flown = run.verdicts, run.configuration
+    several = len(verdicts.verdict) > 1
+    words = f"members: {verdicts.counted()}" if several else verdicts.verdict[0]
     birds = f"{flown.birds} bird{'s' * (flown.birds > 1)}"
     reached = f"t = {run.metrics.t_final:g}"
     what = f"{birds}, {flown.coupling} coupling, at {reached}"
-    return Verdict(run.name if named else "", all(stable), words, what)
+    if not several:
+        what += f": {verdicts.verdict_reason[0]}"
+    holds = all(word == HOLDS for word in verdicts.verdict)
+    return Verdict(run.name if named else "", holds, words, what)
 
 
 def rows(runs: Sequence[Reported]) -> list[Row]:
@@ -125,8 +126,8 @@ def _row(r: int, run: Reported, m: int) -> Row:
         difference = differs(run, m)
         name = f"{name}, member {m + 1}" + (f": {difference}" if difference else "")
     shown = m if m < run.history.speed.shape[2] else None
-    cells.append(f"{metrics.t_final:g}")
-    return Row(r, shown, name, bool(metrics.stable[m]), metrics.verdict(m), cells)
+    word = run.verdicts.verdict[m]
+    return Row(r, shown, name, word, word == HOLDS, [*cells, f"{metrics.t_final:g}"])
 
 
 def differs(run: Reported, m: int) -> str:
@@ -161,7 +162,7 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
         (
             "spread of speeds σ",
             unit.format(f"{metrics.speed_std[0]:.2e}"),
-            f"holds together below {STABLE_BELOW:g}",
+            f"stable by the paper's criterion below {STABLE_BELOW:g}",
         ),
         (
             "drag saved",
@@ -198,6 +199,7 @@ def key_numbers(run: Reported) -> dict[str, Any]:
         "members": metrics.members,
         "members_drawn": run.history.speed.shape[2],
         "stable": metrics.stable,
+        **run.verdicts.as_json(),
         "mean_speed": metrics.mean_speed,
         "speed_std": metrics.speed_std,
         "mean_drag_reduction": metrics.mean_drag_reduction,
