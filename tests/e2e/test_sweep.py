@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from flock_sim.analysis.verdict import WORDS
 from flock_sim.commands import reference
 from flock_sim.console.arguments import run_tool
 from flock_sim.errors import FlockError
@@ -54,7 +55,7 @@ def assert_members_are_those_of_the_reference(terminal: Terminal) -> None:
             ratios = ["--span-ratio", f"2={ratio}"]
             assert run_tool(reference.tool, [*flock, *ratios, *link, "--output", str(bag)]) == 0
             with Run(bag) as run:
-                end, metrics = run.at(), run.metrics()
+                end, metrics, verdicts = run.at(), run.metrics(), run.verdicts()
             member = found.isel(span_ratio_2=i, link_delay=j)
             assert (member.span_ratio_2, member.link_delay) == (float(ratio), float(delay))
             assert np.array_equal(member.position, end.position[:, 0])
@@ -62,6 +63,7 @@ def assert_members_are_those_of_the_reference(terminal: Terminal) -> None:
             for name in ("mean_speed", "speed_std", "spacing", "drag_reduction"):
                 assert np.array_equal(member[name], getattr(metrics, name)[0]), name
             assert bool(member.holds) == metrics.stable[0]
+            assert WORDS[int(member.verdict)] == verdicts.verdict[0]
 
 
 def kill(job: Job) -> None:

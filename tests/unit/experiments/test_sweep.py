@@ -208,7 +208,11 @@ def test_the_end_is_recorded_and_not_many_steps_before_it(steps: int) -> None:
     [(1, 1), (7, 1), (20, 1), (100000, 5000), (23, 23), (46, 23), (10007, 10007)],
 )
 def test_the_last_step_is_among_few_that_are_recorded(steps: int, every: int) -> None:
-    assert record_every(steps) == every
+    assert record_every(steps, 20) == every
+
+
+def test_a_sweep_records_enough_steps_for_a_verdict() -> None:
+    assert record_every(100000) == 500
 
 
 @pytest.mark.parametrize(

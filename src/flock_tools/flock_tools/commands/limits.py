@@ -71,7 +71,8 @@ Find the interval of the span ratio lambda, one bird modified at a time, in whic
 in formation, and the gap that opens at each end.
 exact: by the existence of the steady state.
 integrate: by the paper's protocol: the flight starts from the V of the homogeneous flock, has steps
-of --dt, and the flock holds together if sigma_U < 1e-4 at --t-max. Bisection to --resolution.
+of --dt, and the flock holds if sigma_U < 1e-4 at --t-max: the paper's criterion, not the verdict
+of metrics. Bisection to --resolution.
 fly: by the same protocol, flown over ROS 2 by the birds' nodes: a grid of --points span ratios for
 each modified bird, all of them members of one flight. An end lies half way between two of them.
 If the flock is its own mirror image, only birds of the left wing are modified. --dt and --t-max are

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.console.arguments import (
     TIMEOUT,
     Parser,
@@ -87,7 +88,7 @@ def tool(arguments: Sequence[str]) -> int:
         if not flown:
             note("all flights are complete: there is nothing left to fly")
         # Imported after the flights: xarray and matplotlib take 1 s.
-        from flock_tools.experiments.sweep.dataset import dataset, netcdf
+        from flock_tools.experiments.sweep.dataset import counted, dataset, netcdf
         from flock_tools.figures.sweep import draw_sweep
 
         bags = [directory.bag(flight) for flight in flights]
@@ -98,6 +99,7 @@ def tool(arguments: Sequence[str]) -> int:
     facts = {
         "members": sweep.size,
         "axes": {axis.name: len(axis.values) for axis in sweep.axes},
+        "verdicts": counted(found),
         "holds": int(found.holds.sum()),
         "diverged": int(found.diverged.sum()),
         "flights": len(flights),
@@ -144,10 +146,12 @@ def _parser() -> Parser:
 
 def described(sweep: Sweep, found: xr.Dataset, facts: dict[str, Any]) -> str:
     """Return the result as text."""
+    verdicts = ", ".join(f"{count} {word}" for word, count in facts["verdicts"].items() if count)
     speeds = found.mean_speed.where(found.diverged == 0)
     lines = [
         _told(sweep),
-        f"  hold together        {facts['holds']} of {facts['members']}",
+        f"  verdicts             {verdicts}",
+        f"  sigma_U < {STABLE_BELOW:g}     {facts['holds']} of {facts['members']}",
         f"  diverged             {facts['diverged']}",
     ]
     if facts["diverged"] < facts["members"]:

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from flock_sim.analysis.metrics import STABLE_BELOW
+from flock_sim.analysis.flight_verdict import Flown
+from flock_sim.analysis.verdict import HOLDS
+from flock_sim.configuration import span_ratios
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.arrays import BoolArray
 from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
 from flock_sim.theory.delay_stability import steady_flight
@@ -19,8 +20,6 @@ from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
 from flock_sim.theory.delayed_nearest import delayed_nearest
 from flock_sim.theory.span_limits import modified_span_ratios
 from flock_tools.experiments.workers import workers
-
-BoolArray = npt.NDArray[np.bool_]
 
 DELAYS = (0, 1, 2, 3, 5, 7, 10, 14, 20, 28, 35, 40, 41, 43, 46, 50)
 """Delays of the flights of three geese, in steps of 1 b / U_min."""
@@ -132,31 +131,20 @@ class Held:
 def held(model: str, key: str, value: float) -> Held:
     """Fly seven birds, one modified, over links of `model` with `key` = `value`.
 
-    They stay together if their streamwise extent, a mean over a tenth of the flight, grows more
-    slowly than 1e-4 U_min from half of the flight to its end. This is the paper's criterion,
-    adapted to noise.
+    They stay together if the verdict on their flight is `holds`.
     """
     ratios = SPAN_RATIOS[model]
-    configuration = FlockConfiguration(
-        birds=BIRDS,
+    flock = FlockConfiguration(birds=BIRDS)
+    changed = modified_span_ratios(flock, [MODIFIED] * len(ratios), ratios)
+    configuration = replace(
+        flock,
         t_max=T_LIMITS,
         record_every=100,
         links=(f"{model}:{key}={value:g}",),
+        span_ratios=span_ratios.entries(changed),
     )
-    flight = Reference(
-        configuration, modified_span_ratios(configuration, [MODIFIED] * len(ratios), ratios)
-    )
-    extent = np.array([np.ptp(state.position, axis=0) for state in flight.fly()])
-    ends = _mean_about(extent, 0.5), _mean_about(extent, 0.95)
-    with np.errstate(invalid="ignore"):
-        together = (ends[1] - ends[0]) / (0.45 * T_LIMITS) < STABLE_BELOW
-    return Held(model, key, value, _around_one(ratios, together))
-
-
-def _mean_about(extent: FloatArray, part: float) -> FloatArray:
-    """Return the mean over a tenth of all rows, centred at the fraction `part` of them."""
-    rows = len(extent)
-    return np.asarray(extent[int((part - 0.05) * rows) : int((part + 0.05) * rows)].mean(axis=0))
+    words = Flown(configuration, list(Reference(configuration).fly())).verdicts().verdict
+    return Held(model, key, value, _around_one(ratios, np.array(words) == HOLDS))
 
 
 def _around_one(ratios: Sequence[float], together: BoolArray) -> tuple[float, ...]:

@@ -24,6 +24,9 @@ from flock_sim.theory.span_limits import Limits, search
 from flock_tools.experiments.ensemble import gaps_at_end, undisturbed
 from flock_tools.experiments.sweep.members import record_every
 
+MOST_RECORDS = 20
+"""Largest number of recorded rows after the start. Only the last one is read."""
+
 
 @dataclass(frozen=True)
 class HowFlown:
@@ -88,7 +91,7 @@ class _FlightTrial:
         """Fly to t_max. Return the speeds there, shape (birds, members)."""
         flown = replace(
             undisturbed(self.configuration),
-            record_every=record_every(self.configuration.steps),
+            record_every=record_every(self.configuration.steps, MOST_RECORDS),
             span_ratios=span_ratios.entries(span_ratio),
         )
         bag = self.how.bag or directory / "bag"

@@ -15,8 +15,10 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from flock_sim.analysis.metrics import STABLE_BELOW
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.analysis.verdict import HOLDS, WORDS
+from flock_sim.physics.arrays import BoolArray, FloatArray
 from flock_tools.experiments.sweep.axes import Axis
+from flock_tools.experiments.sweep.dataset import counted
 from flock_tools.experiments.sweep.specification import Sweep
 from flock_tools.figures.style import ALARM, BLUE, COLUMN, FAINT, INK, PAGE, PRINT_STYLE, SMALL
 
@@ -63,7 +65,9 @@ def _ascending(found: xr.Dataset, axes: Sequence[Axis]) -> tuple[xr.Dataset, lis
 
 
 def _title(found: xr.Dataset, first_only: Sequence[Axis]) -> str:
-    title = f"{int(found.holds.sum())} of {found.holds.size} flocks hold together"
+    counts = counted(found)
+    title = f"{found.verdict.size} flocks: "
+    title += ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     if diverged := int(found.diverged.sum()):
         title += f", {diverged} diverged"
     if first_only:
@@ -88,7 +92,7 @@ def _curves(found: xr.Dataset, axis: Axis) -> Figure:
     left.autoscale_view()
     left.axhline(STABLE_BELOW, color=ALARM, linewidth=0.8, linestyle="--")
     left.annotate(
-        "holds together below",
+        "stable below (the paper's criterion)",
         (1.0, STABLE_BELOW),
         xycoords=("axes fraction", "data"),
         xytext=(0, -2),
@@ -123,7 +127,7 @@ def _across(left: Axes, right: Axes, axis: Axis) -> Sequence[float]:
 def _maps(found: xr.Dataset, down: Axis, across: Axis) -> Figure:
     figure = Figure(figsize=(PAGE, 3.1), layout="constrained")
     left, right = figure.subplots(1, 2)
-    holds = found.holds.values
+    holds = _holds(found)
     image = _map(left, _spread(found), holds, _spread_norm(found))
     figure.colorbar(image, ax=left, label=SPREAD).ax.axhline(STABLE_BELOW, color="white")
     name, label = ("mean_spacing", SPACING) if "mean_spacing" in found else ("mean_speed", "U")
@@ -149,7 +153,7 @@ def _panels(found: xr.Dataset, down: Axis, across: Axis, panel: Axis) -> Figure:
     norm = _spread_norm(found)
     for axes, k in zip(grid.flat, shown):
         part = found.isel({panel.dimension: k})
-        image = _map(axes, _spread(part), part.holds.values, norm)
+        image = _map(axes, _spread(part), _holds(part), norm)
         axes.set_title(f"{panel.name} = {_tick(panel.values[k])}")
         _ticks(axes, "y", down)
         _ticks(axes, "x", across)
@@ -165,8 +169,8 @@ def _panels(found: xr.Dataset, down: Axis, across: Axis, panel: Axis) -> Figure:
     return figure
 
 
-def _map(axes: Axes, values: FloatArray, holds: FloatArray, norm: Normalize) -> QuadMesh:
-    """Draw cells, but none for diverged flocks, and the border of flocks that hold together."""
+def _map(axes: Axes, values: FloatArray, holds: BoolArray, norm: Normalize) -> QuadMesh:
+    """Draw cells, but none for diverged flocks, and the border of flocks that hold."""
     rows, columns = values.shape
     image = axes.pcolormesh(
         np.arange(columns + 1) - 0.5,
@@ -185,7 +189,11 @@ def _map(axes: Axes, values: FloatArray, holds: FloatArray, norm: Normalize) -> 
     return image
 
 
-def _changes(holds: FloatArray, axis: int) -> list[tuple[int, int]]:
+def _holds(found: xr.Dataset) -> BoolArray:
+    return np.asarray(found.verdict.values == WORDS.index(HOLDS))
+
+
+def _changes(holds: BoolArray, axis: int) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r, c in np.argwhere(np.diff(holds.astype(int), axis=axis))]
 
 

@@ -14,6 +14,7 @@ import xarray as xr
 
 import flock_sim
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics, measure
+from flock_sim.analysis.verdict import WORDS, Verdicts
 from flock_sim.errors import FlockError
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.run import Run
@@ -24,10 +25,15 @@ PACKAGES = ("numpy", "numba", "xarray", "scipy", "mcap")
 
 BIRD, GAP = "bird", "gap"
 
+CRITERION = f"sigma_U < {STABLE_BELOW:g}"
+
 ATTRIBUTES = {
     "mean_speed": ("mean speed of the birds at the end", "U_min"),
     "speed_std": ("spread of the birds' speeds at the end, sigma_U", "U_min"),
-    "holds": (f"whether the flock holds together, sigma_U < {STABLE_BELOW:g}", "1"),
+    "verdict": ("verdict on the flight", "1"),
+    "stalled_at": ("first recorded time at which a bird has stalled; nan: none has", "b/U_min"),
+    "stalled_bird": ("bird that has stalled; 0: none has", "1"),
+    "holds": (f"whether the flock is stable by the paper's criterion, {CRITERION}", "1"),
     "diverged": ("whether positions or speeds are not finite at the end", "1"),
     "mean_drag_reduction": ("drag saved at the end, mean over the birds", "1"),
     "time_mean_speed": ("mean speed of the birds from averaged_from to the end", "U_min"),
@@ -80,6 +86,10 @@ def dataset(
     for name, (long_name, units) in ATTRIBUTES.items():
         if name in found.variables:
             found[name].attrs = {"long_name": long_name, "units": units}
+    found["verdict"].attrs |= {
+        "flag_values": np.arange(len(WORDS), dtype=np.int8),
+        "flag_meanings": " ".join(WORDS),
+    }
     for axis in sweep.axes:
         found[axis.dimension].attrs = {
             "long_name": axis.long_name,
@@ -89,17 +99,22 @@ def dataset(
     return found
 
 
+def counted(found: xr.Dataset) -> dict[str, int]:
+    """Return the number of members of a sweep with each of the verdicts."""
+    return {word: int((found.verdict == k).sum()) for k, word in enumerate(WORDS)}
+
+
 def netcdf(found: xr.Dataset) -> bytes:
     """Return a dataset as the bytes of a NetCDF 3 file with 64-bit offsets."""
     for variable in found.variables.values():
-        variable.encoding["_FillValue"] = None  # nan means diverged, not missing
+        variable.encoding["_FillValue"] = None  # nan means diverged or not stalled, not missing
     return bytes(found.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
 
 def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
     """Return the results of a flight: arrays whose first dimension is the member."""
     with Run(bag) as run:
-        end = run.at()
+        end, verdicts = run.at(), run.verdicts()
         means = run.time_means(end.time)
     configuration = flight.configuration
     if end.step != configuration.steps:
@@ -110,6 +125,7 @@ def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
         "time_mean_speed": means.time_mean_speed,
         "time_mean_drag_reduction": means.time_mean_drag_reduction,
         "averaged_from": np.full(configuration.members, means.averaged_from),
+        **_judged(verdicts),
         "flight": np.full(configuration.members, flight.number, dtype=np.int32),
         "member": np.arange(1, configuration.members + 1, dtype=np.int32),
     }
@@ -130,6 +146,14 @@ def _told(metrics: Metrics, end: FlockState) -> dict[str, np.ndarray]:
         values["mean_spacing"] = np.abs(metrics.spacing).mean(axis=1)
         values["spacing"] = metrics.spacing
     return values
+
+
+def _judged(verdicts: Verdicts) -> dict[str, np.ndarray]:
+    return {
+        "verdict": np.array([WORDS.index(word) for word in verdicts.verdict], dtype=np.int8),
+        "stalled_at": np.array(verdicts.stalled_at, dtype=np.float64),
+        "stalled_bird": np.array([bird or 0 for bird in verdicts.stalled_bird], dtype=np.int32),
+    }
 
 
 def _extra(name: str, array: np.ndarray) -> list[str]:

@@ -14,9 +14,9 @@ from flock_sim.links import settings
 from flock_sim.links.keys import INTERVAL, SEPARATOR
 from flock_sim.links.registry import MODELS
 
-MOST_RECORDS = 20
+MOST_RECORDS = 200
 """Largest number of recorded rows after the start of a flight. A kill loses only a part of a
-flight, and bags stay small."""
+flight, a verdict can be given, and bags stay small."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,9 @@ def kinds(members: Sequence[Member]) -> list[list[int]]:
     return list(found.values())
 
 
-def record_every(steps: int) -> int:
-    """Return the steps between at most MOST_RECORDS recorded rows, the last of them at the end."""
-    return next(steps // rows for rows in range(MOST_RECORDS, 0, -1) if steps % rows == 0)
+def record_every(steps: int, most: int = MOST_RECORDS) -> int:
+    """Return the steps between at most `most` recorded rows, the last of them at the end."""
+    return next(steps // rows for rows in range(most, 0, -1) if steps % rows == 0)
 
 
 def check_end_recorded(configuration: FlockConfiguration) -> None:
