@@ -59,7 +59,14 @@ def test_geese_that_move_on_what_they_know_stay_together_between_the_exact_limit
     ],
 )
 def test_what_stays_is_the_interval_around_one(together: list[bool], kept: tuple) -> None:
-    assert coupling_study._around_one((0.8, 0.9, 1.0, 1.1), np.array(together)) == kept
+    words = ["holds" if one else "apart" for one in together]
+    assert coupling_study._around_one((0.8, 0.9, 1.0, 1.1), words) == kept
+
+
+def test_flocks_that_settle_between_those_that_hold_end_no_interval() -> None:
+    words = ["settling", "holds", "settling", "holds", "settling", "apart"]
+    ratios = (0.8, 0.85, 0.9, 1.0, 1.1, 1.2)
+    assert coupling_study._around_one(ratios, words) == (0.85, 0.9, 1.0)
 
 
 @pytest.mark.usefixtures("short")

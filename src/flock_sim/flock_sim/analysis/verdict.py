@@ -32,7 +32,7 @@ CHANGE = 0.02
 DECAY = 0.8
 """Largest ratio of successive changes of a gap from which its final value is extrapolated."""
 
-SWELL = 1.5
+SWELL = 2.0
 """Largest ratio of the fluctuations in two successive quarters of a flight that holds."""
 
 WIDE = 20.0
@@ -209,7 +209,8 @@ class _Gaps:
         decays = (first * second > 0.0) & (second * third > 0.0) & (ratio < DECAY)
         rest = np.abs(third) * self.step * ratio / (1.0 - ratio)
         most = CHANGE * np.maximum(np.abs(self.last), 1.0)
-        remaining = np.where(decays, rest, self.change)
+        recent = (np.abs(second) + np.abs(third)) * self.step
+        remaining = np.where(decays, rest, recent)
         return np.asarray((remaining <= most) & (self.scatter[1] <= most))
 
     def bounded(self) -> BoolArray:

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flock_sim.analysis.flight_verdict import Flown
-from flock_sim.analysis.verdict import HOLDS
+from flock_sim.analysis.verdict import APART, HOLDS, STALLED
 from flock_sim.configuration import span_ratios
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.physics.arrays import BoolArray
 from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
 from flock_sim.theory.delay_stability import steady_flight
@@ -131,7 +130,7 @@ class Held:
 def held(model: str, key: str, value: float) -> Held:
     """Fly seven birds, one modified, over links of `model` with `key` = `value`.
 
-    They stay together if the verdict on their flight is `holds`.
+    They stay together if the verdict on their flight is `holds`, see `_around_one`.
     """
     ratios = SPAN_RATIOS[model]
     flock = FlockConfiguration(birds=BIRDS)
@@ -144,18 +143,22 @@ def held(model: str, key: str, value: float) -> Held:
         span_ratios=span_ratios.entries(changed),
     )
     words = Flown(configuration, list(Reference(configuration).fly())).verdicts().verdict
-    return Held(model, key, value, _around_one(ratios, np.array(words) == HOLDS))
+    return Held(model, key, value, _around_one(ratios, words))
 
 
-def _around_one(ratios: Sequence[float], together: BoolArray) -> tuple[float, ...]:
-    """Return the contiguous ratios around 1 whose flocks are `together`."""
+def _around_one(ratios: Sequence[float], words: Sequence[str]) -> tuple[float, ...]:
+    """Return the ratios around 1 from the first to the last with the verdict `holds`.
+
+    Between them none is apart or stalled; some may still be settling.
+    """
     one = ratios.index(1.0)
-    if not together[one]:
+    if words[one] != HOLDS:
         return ()
-    apart = np.flatnonzero(~together).tolist()
-    first = max((k + 1 for k in apart if k < one), default=0)
-    last = min((k for k in apart if k > one), default=len(ratios))
-    return tuple(ratios[first:last])
+    ended = [k for k, word in enumerate(words) if word in (APART, STALLED)]
+    first = max((k + 1 for k in ended if k < one), default=0)
+    last = min((k for k in ended if k > one), default=len(ratios))
+    held = [k for k in range(first, last) if words[k] == HOLDS]
+    return tuple(ratios[held[0] : held[-1] + 1])
 
 
 def late_limits(lag: float) -> tuple[float, float]:
