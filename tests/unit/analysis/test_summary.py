@@ -91,7 +91,9 @@ def state_with(spacing: list[float], configuration: FlockConfiguration, step: in
     signed = np.array(spacing) * np.where(np.arange(len(spacing)) < head, 1.0, -1.0)
     position = np.concatenate([[0.0], np.cumsum(signed)])[:, np.newaxis]
     ones = np.ones_like(position)
-    return FlockState(step, step * configuration.dt, position, ones, ones, 0.0 * ones, ones, 0.0 * ones)
+    return FlockState(
+        step, step * configuration.dt, position, ones, ones, 0.0 * ones, ones, 0.0 * ones
+    )
 
 
 @pytest.mark.parametrize(
