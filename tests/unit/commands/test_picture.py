@@ -36,7 +36,10 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def drawn(path: Path, member: int = 1):
     with Run(path) as run:
-        return draw(run.configuration, run.metrics(), read(run).sel(member=member), member)
+        metrics, verdicts = run.metrics(), run.verdicts()
+        means = run.time_means(metrics.t_final)
+        history = read(run).sel(member=member)
+        return draw(run.configuration, metrics, means, verdicts, history, member)
 
 
 def outlines(figure) -> list[np.ndarray]:

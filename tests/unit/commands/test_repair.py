@@ -115,7 +115,7 @@ def test_a_bag_is_repaired_from_within_its_directory(
 def test_whole_messages_of_a_chunk_that_is_cut_are_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole_bag = record(tmp_path / "run", replace(CONFIGURATION, t_max=4000.0))
+    whole_bag = record(tmp_path / "run", replace(CONFIGURATION, t_max=5000.0))
     whole = messages(whole_bag)
     (file,) = whole_bag.glob("*.mcap")
     with file.open("rb") as opened:

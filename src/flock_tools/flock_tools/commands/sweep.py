@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.console.arguments import (
     TIMEOUT,
     Parser,
@@ -146,6 +145,8 @@ def _parser() -> Parser:
 
 def described(sweep: Sweep, found: xr.Dataset, facts: dict[str, Any]) -> str:
     """Return the result as text."""
+    from flock_sim.analysis.metrics import STABLE_BELOW
+
     verdicts = ", ".join(f"{count} {word}" for word, count in facts["verdicts"].items() if count)
     speeds = found.mean_speed.where(found.diverged == 0)
     lines = [

@@ -51,8 +51,10 @@ class Comparison:
     """Number of those that differ, by more than the tolerance if one is given."""
     missing: list[int] = field(default_factory=lambda: [0, 0])
     """For each run: the number of state messages that only the other run has."""
-    max_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(ARRAYS, 0.0))
+    max_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(VALUES, 0.0))
     """Largest absolute difference of each field; inf if one value is nan or infinite.
+
+    Means are compared, too, but their differences are not listed.
 
     It has no meaning if no message is `comparable`.
     """
@@ -230,7 +232,8 @@ class _States:
         """Return where two arrays differ. Updates the largest difference."""
         gap = distance(first, second)
         largest = self._result.max_difference
-        largest[name] = max(largest[name], float(gap.max(initial=0.0)))
+        if name in largest:
+            largest[name] = max(largest[name], float(gap.max(initial=0.0)))
         return other_bits(first, second) if self._tolerance is None else gap > self._tolerance
 
     def _is_earliest(self, side: int, topic: str, step: int) -> bool:
