@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,8 @@ class Played:
         return line
 
     @contextmanager
-    def _player(self, selection: Selection) -> Iterator[tuple[Any, Callable[[], None]]]:
+    def _player(
+        self, selection: Selection, own_birds: Sequence[str]
+    ) -> Iterator[tuple[Any, Callable[[], None]]]:
         self.selection = selection
         yield self, lambda: None
