@@ -24,7 +24,7 @@ from flock_sim.commands import reference
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.parameter_file import text as parameter_text
 from flock_sim.console.arguments import run_tool
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.types import ARRAYS, VALUES
 from flock_sim.recording.run import Run
 from flock_tools.commands import compare, metrics, picture, repair, report, view
 from flock_tools.figures import output
@@ -102,6 +102,10 @@ def check_metrics(say: Say, bag: BagArrays, row: int, at: tuple[object, ...]) ->
     close(told["lateral"], bag.lateral.T)
     close(told["drag_reduction"], bag.saved[row].T)
     close(told["mean_drag_reduction"], bag.saved[row].mean(axis=0))
+    for m in range(bag.flown.members):
+        if means := over_time(bag, row, m):
+            close(told["time_mean_speed"][m], means[0])
+            close(told["time_mean_drag_reduction"][m], means[1] / 100.0)
     finite = np.isfinite(bag.position[row]).all(axis=0) & np.isfinite(bag.speed[row]).all(axis=0)
     assert told["stable"] == ((bag.spread[row] < 1e-4) & finite).tolist()
     left = bag.spacing[row][:head]
@@ -122,6 +126,24 @@ def check_metrics(say: Say, bag: BagArrays, row: int, at: tuple[object, ...]) ->
             close(reductions, 100.0 * bag.saved[row, : len(reductions), m], 1)
         if right := numbers.get("spacing, right wing"):
             close(right, -bag.spacing[row, head:, m][::-1], 4)
+
+
+def over_time(bag: BagArrays, row: int, m: int) -> list[float]:
+    """Mean speed and saved drag in % over the last tenth of the time up to a row, of all birds.
+
+    Empty if no member of the flight has such a mean.
+    """
+    every, end = bag.flown.record_every, bag.step[row]
+    records = max(1, round(0.1 * end / every))
+    rows = np.flatnonzero((bag.step > end - every * records) & (bag.step <= end))
+    steps = np.where(bag.step[rows] > 0, every, 1)[:, np.newaxis, np.newaxis]
+    with np.errstate(all="ignore"):
+        speed = (steps * bag.mean_speed[rows]).sum(axis=0) / steps.sum()
+        drag = (steps * bag.mean_interaction_drag[rows]).sum(axis=0) / steps.sum()
+        saved = -100.0 * drag / bag.cruise_drag
+        means = speed.mean(axis=0)
+        known = bool(np.isfinite(means).any())
+        return [float(means[m]), float(saved[:, m].mean())] if known else []
 
 
 def numbers_in(lines: str) -> dict[str, list[float]]:
@@ -156,7 +178,8 @@ def check_picture(say: Say, figures: list[Figure], bag: BagArrays, row: int, mem
         assert f"{i + 1} at {far} b" in texts
     title = figure.get_suptitle()
     close(re.findall(r"mean speed (\S+)", title), [bag.speed[row, :, m].mean()], 4)
-    close(re.findall(r"drag reduction (\S+)", title), [100.0 * bag.saved[row, :, m].mean()], 1)
+    shown = [100.0 * bag.saved[row, :, m].mean(), *over_time(bag, row, m)[1:]]
+    close(re.findall(r"drag reduction (\S+)", title), shown, 1)
     assert f"t = {time:g}:" in title
     check_curves(figure, bag, m)
 
@@ -256,7 +279,7 @@ def check_compare(say: Say, bag: BagArrays, other: BagArrays) -> None:
     assert told["messages"] == len(both)
     assert told["missing_messages"] == [len(two) - len(both), len(one) - len(both)]
     comparable = bag.flown.members == other.flown.members and len(both) > 0
-    for name in ARRAYS:
+    for name in VALUES:
         if not comparable:
             assert told["max_difference"][name] is None
             continue

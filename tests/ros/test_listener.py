@@ -47,7 +47,7 @@ class Domain:
         """Have `node` publish a recorded step of a flock."""
         for bird in range(1, birds + 1):
             outlet = node.create_publisher(BirdState, topics.state_topic(bird), latched(DEPTH))
-            outlet.publish(State.at(FLOCK, step, *np.ones((4, 1))).encode())
+            outlet.publish(State.at(FLOCK, step, *np.ones((6, 1))).encode())
 
     def sample(self) -> Sample | None:
         return self.watcher.view.sample(self.watcher.birds, 1)

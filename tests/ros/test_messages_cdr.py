@@ -48,7 +48,8 @@ FIELDS = {
         BirdState,
         [
             "header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "step", "time",
-            "position", "speed", "circulation", "interaction_drag", "run_id", "epoch",
+            "position", "speed", "circulation", "interaction_drag", "mean_speed",
+            "mean_interaction_drag", "run_id", "epoch",
         ],
     ),
     messages.Grant: (

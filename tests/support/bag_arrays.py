@@ -28,6 +28,8 @@ class BagArrays:
     speed: np.ndarray
     circulation: np.ndarray
     interaction_drag: np.ndarray
+    mean_speed: np.ndarray
+    mean_interaction_drag: np.ndarray
 
     @classmethod
     def read(cls, path: Path, flown: FlockConfiguration) -> BagArrays:
@@ -70,11 +72,14 @@ class BagArrays:
         return across - across[self.leader - 1]
 
     @property
-    def saved(self) -> np.ndarray:
+    def cruise_drag(self) -> float:
         flown = self.flown
         square = (flown.cruise_speed / flown.min_drag_speed) ** 2
-        standard = 2.0 * flown.zero_lift_drag / flown.aspect_ratio * (square + 1.0 / square)
-        return (0.0 - self.interaction_drag) / standard
+        return 2.0 * flown.zero_lift_drag / flown.aspect_ratio * (square + 1.0 / square)
+
+    @property
+    def saved(self) -> np.ndarray:
+        return (0.0 - self.interaction_drag) / self.cruise_drag
 
     @property
     def spread(self) -> np.ndarray:

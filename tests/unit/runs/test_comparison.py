@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import ARRAYS, State
+from flock_sim.messages.types import ARRAYS, VALUES, State
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.run import Run
 from flock_tools.runs import pairing
@@ -84,7 +84,7 @@ def test_who_flew_and_how_does_not_matter(flight: Path, tmp_path: Path) -> None:
     result = compared(flight, other)
     assert result.equal
     assert result.messages == MESSAGES
-    assert result.max_difference == dict.fromkeys(ARRAYS, 0.0)
+    assert result.max_difference == dict.fromkeys(VALUES, 0.0)
 
 
 @given(
@@ -171,7 +171,7 @@ def test_a_tolerance_is_the_largest_difference_allowed(flight: Path, tmp_path: P
     assert compared(one, two, gap).equal
     apart = compared(one, two, np.nextafter(gap, 0.0))
     assert not apart.equal
-    assert apart.max_difference == {**dict.fromkeys(ARRAYS, 0.0), "position": gap}
+    assert apart.max_difference == {**dict.fromkeys(VALUES, 0.0), "position": gap}
     assert apart.first_difference is not None
     assert apart.first_difference.distance == gap
 
@@ -181,7 +181,7 @@ def test_the_largest_difference_of_each_field_is_found(flight: Path, tmp_path: P
     record(tmp_path / "run", other)
     result = compared(flight, tmp_path / "run")
     runs = [snapshots(path) for path in (flight, tmp_path / "run")]
-    for name in ARRAYS:
+    for name in VALUES:
         gaps = [np.abs(getattr(a, name) - getattr(b, name)).max() for a, b in zip(*runs)]
         assert result.max_difference[name] == max(gaps)
     assert result.different == MESSAGES

@@ -62,8 +62,8 @@ class Averaging:
         every, dt = configuration.record_every, configuration.dt
         self.last = round(until / dt)
         """The last recorded step that is used."""
-        first = self.last - every * max(0, round((span / dt - every) / every))
-        self.first = max(0, -(-first // every) * every)
+        records = max(1, round(span / (every * dt)))
+        self.first = max(0, self.last - every * (records - 1))
         """The first recorded step that is used."""
         shape = configuration.birds, configuration.members
         self._speed, self._drag = np.zeros(shape), np.zeros(shape)
