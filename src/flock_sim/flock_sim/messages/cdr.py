@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from typing import Annotated, Any, ClassVar, Self, get_type_hints
 
@@ -58,12 +58,17 @@ class Message:
     @classmethod
     def decode(cls, data: bytes) -> Self:
         """Return the message in `data`. Raises ValueError if it does not hold one."""
+        return cls(*cls.values_in(data, cls.KINDS))
+
+    @classmethod
+    def values_in(cls, data: bytes, kinds: Iterable[str]) -> list[Any]:
+        """Return the values of fields of `kinds`. Raises ValueError if `data` has others."""
         if data[:4] != ENCAPSULATION:
             raise ValueError(f"{cls.TYPE}: not little-endian CDR")
-        values: list[object] = []
+        values: list[Any] = []
         at = 4
         try:
-            for kind in cls.KINDS:
+            for kind in kinds:
                 first = _FIRST.get(kind, kind)
                 size = struct.calcsize(first)
                 at += (4 - at) % size
@@ -82,7 +87,7 @@ class Message:
                     values.append(value)
         except (struct.error, ValueError) as error:
             raise ValueError(f"{cls.TYPE}: {len(data)} bytes are too few ({error})") from None
-        return cls(*values)
+        return values
 
     def _fields(self) -> Iterator[tuple[str, str, Any]]:
         """Yield name, kind and value of each field."""

@@ -8,8 +8,7 @@ With these classes, the state machines, the recorder and the offline tools need 
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -115,13 +114,15 @@ class State(Message):
     def decode(cls, data: bytes) -> State:
         """Return the state in `data`, also of an earlier version. Raises ValueError as Message."""
         try:
-            return super(State, cls).decode(data)
+            return cls(*cls.values_in(data, cls.KINDS))
         except ValueError:
-            with suppress(ValueError):
-                early = StateWithoutMeans.decode(data)
-                if len(early.encode()) == len(data):
-                    return early.with_no_means()
-            raise
+            kinds = [*cls.KINDS[: -len(MEANS) - 2], *cls.KINDS[-2:]]
+            *values, run_id, epoch = cls.values_in(data, kinds)
+            no_means = len(MEANS) * [np.empty(0)]
+            early = cls(*[*values, *no_means, run_id, epoch])
+            if len(data) != cls.lengths(len(early.position), len(VALUES)).size:
+                raise
+            return early
 
     @staticmethod
     def step_of(data: bytes) -> int:
@@ -177,33 +178,6 @@ class State(Message):
             run_id,
             epoch,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class StateWithoutMeans(Message):
-    """BirdState as it was before it had means."""
-
-    TYPE: ClassVar[str] = State.TYPE
-
-    seconds: Int32
-    nanoseconds: UInt32
-    frame: Text
-    step: UInt64
-    time: Float64
-    position: Numbers
-    speed: Numbers
-    circulation: Numbers
-    interaction_drag: Numbers
-    run_id: UInt64
-    epoch: UInt32
-
-    def with_no_means(self) -> State:
-        """Return this state with empty means."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return State(**values, mean_speed=_NONE, mean_interaction_drag=_NONE)
-
-
-_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)

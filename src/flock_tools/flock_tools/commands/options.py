@@ -22,27 +22,24 @@ def add_moment_option(parser: argparse.ArgumentParser) -> None:
 
 def moment(options: argparse.Namespace) -> float | None:
     """Return the time in b / U_min, None for the last. Raises FlockError on an invalid time."""
-    if options.at is None:
-        return None
-    try:
-        time = float(options.at)
-    except ValueError:
-        time = math.nan
-    if not 0.0 <= time < math.inf:
-        raise FlockError(f"--at {shown(options.at)}: must be a finite time, 0 or more")
-    return time
+    return _time("--at", options.at, 0.0, "a finite time, 0 or more")
 
 
 def span(options: argparse.Namespace) -> float | None:
     """Return the time of --over in b / U_min, None without it. Raises FlockError if invalid."""
-    if options.over is None:
+    return _time("--over", options.over, math.ulp(0.0), "a finite time above 0")
+
+
+def _time(option: str, text: str | None, least: float, range_: str) -> float | None:
+    """Return the time in `text`, at least `least`; None for none. `range_` describes the range."""
+    if text is None:
         return None
     try:
-        time = float(options.over)
+        time = float(text)
     except ValueError:
         time = math.nan
-    if not 0.0 < time < math.inf:
-        raise FlockError(f"--over {shown(options.over)}: must be a finite time above 0")
+    if not least <= time < math.inf:
+        raise FlockError(f"{option} {shown(text)}: must be {range_}")
     return time
 
 
