@@ -44,7 +44,7 @@ class Domain:
         return self.add(Node(name, namespace=topics.NAMESPACE, context=self.context))
 
     def play(self, node: Node, birds: int, step: int = 0) -> None:
-        """Have `node` publish a recorded step of a flock."""
+        """Publish a recorded step of a flock from `node`."""
         for bird in range(1, birds + 1):
             outlet = node.create_publisher(BirdState, topics.state_topic(bird), latched(DEPTH))
             outlet.publish(State.at(FLOCK, step, *np.ones((6, 1))).encode())
