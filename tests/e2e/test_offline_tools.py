@@ -24,7 +24,7 @@ from flock_sim.commands import reference
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.parameter_file import text as parameter_text
 from flock_sim.console.arguments import run_tool
-from flock_sim.messages.types import ARRAYS, VALUES
+from flock_sim.messages.state import ARRAYS, VALUES
 from flock_sim.recording.run import Run
 from flock_tools.commands import compare, metrics, picture, repair, report, view
 from flock_tools.figures import output

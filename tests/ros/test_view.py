@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 from websockets.sync.client import ClientConnection, connect
 
 from flock_sim.errors import FlockError
-from flock_sim.messages.types import FRAME
+from flock_sim.messages.state import FRAME
 from flock_sim.recording.run import Run
 from flock_tools.scene.foxglove_server import FoxgloveServer
 from flock_tools.scene.picture import scene_of

@@ -11,7 +11,8 @@ import numpy as np
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import ARRAYS, State
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.types import State
 
 States = dict[tuple[int, int], State]
 

@@ -154,6 +154,7 @@ class Recorder:
             self._epoch,
             np.concatenate([state.position for state in states]),
             np.concatenate([state.speed for state in states]),
+            forcing_state=np.concatenate([state.forcing_state for state in states]),
             memory=np.concatenate(
                 [np.empty(0), *(Memory.decode(data).data for data in disk.rows[-1].memories)]
             ),

@@ -9,7 +9,7 @@ import numpy as np
 from flock_sim.commands.reference import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.types import ARRAYS, Grant, State, Time, Wing
+from flock_sim.messages.types import Grant, State, Time, Wing
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.row_assembler import Row
@@ -52,9 +52,8 @@ def record(
         if grants:
             grant = Grant(run_id, step, configuration.steps, configuration.dt, 3)
             rows.append((step, topics.GRANT_TOPIC, stamp, grant.encode()))
-        for bird in birds:
-            arrays = (getattr(recorded, name)[bird - 1] for name in ARRAYS)
-            state = change(bird, State.at(configuration, step, *arrays))
+        for bird, flown in enumerate(State.of_flock(configuration, recorded), 1):
+            state = change(bird, flown)
             if state is not None:
                 place = bird * (configuration.steps + 1) if bird_by_bird else step
                 rows.append((place, topics.state_topic(bird), stamp, state.encode()))

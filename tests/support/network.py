@@ -13,16 +13,7 @@ from random import Random
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.topics import bird_name
-from flock_sim.messages.types import (
-    ARRAYS,
-    Checkpoint,
-    Grant,
-    Memory,
-    Progress,
-    Stage,
-    State,
-    Wing,
-)
+from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, Stage, State, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.session import Channel
@@ -238,7 +229,6 @@ def expected_states(configuration: FlockConfiguration) -> dict[int, list[bytes]]
     """Return the states of every bird of the reference flight, encoded as in a bag."""
     states: dict[int, list[bytes]] = {bird: [] for bird in range(1, configuration.birds + 1)}
     for flock in Reference(configuration).fly():
-        for bird, encoded in states.items():
-            arrays = (getattr(flock, name)[bird - 1] for name in ARRAYS)
-            encoded.append(State.at(configuration, flock.step, *arrays).encode())
+        for bird, state in enumerate(State.of_flock(configuration, flock), 1):
+            states[bird].append(state.encode())
     return states

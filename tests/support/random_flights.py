@@ -7,6 +7,7 @@ from dataclasses import replace
 from random import Random
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from support.random_forcing import random_forcing
 from support.random_links import random_links
 
 BODIES = {
@@ -43,7 +44,11 @@ def random_flight(random: Random, *, members: int = 0) -> FlockConfiguration:
         **body,
     )
     links = random_links(random, birds, coupling, members) if random.random() < 0.5 else ()
-    return replace(flight, links=links, perturbations=_pushes(random, flight))
+    flight = replace(flight, links=links, perturbations=_pushes(random, flight))
+    if random.random() < 0.5:
+        flight = replace(flight, forcing=random_forcing(random, birds, members))
+        flight.load_laws()
+    return flight
 
 
 def _span_ratios(random: Random, birds: int, members: int) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from flock_sim.nodes.bird import BirdNode as BirdNode
     from flock_sim.physics.flock import Flock as Flock
     from flock_sim.physics.flock_state import FlockState as FlockState
-    from flock_sim.protocol.control_force import Perception as Perception
     from flock_sim.recording.run import Run as Run
     from flock_sim.reference.integrator import Reference as Reference
     from flock_sim.theory.delay_stability import Crossing as Crossing
@@ -46,7 +45,6 @@ _MODULES = {
     "Limits": "theory.span_limits",
     "LinkModel": "links.models",
     "Metrics": "analysis.metrics",
-    "Perception": "protocol.control_force",
     "Perturbation": "configuration.perturbation",
     "Reference": "reference.integrator",
     "Run": "recording.run",

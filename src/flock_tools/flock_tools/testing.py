@@ -77,7 +77,7 @@ def fly(
 
     positive_number("timeout", str(timeout))
     known = {} if configuration is None else configuration.parameters()
-    flown = FlockConfiguration.from_parameters({**known, **parameters})
+    flown = FlockConfiguration.given({**known, **parameters})
     topics.steps_ahead(flown, False)  # raises if the flight can't be recorded
     if flown.links and flown.birds > 1:
         warm_links(flown)  # compiles now, so that no bird makes the others wait

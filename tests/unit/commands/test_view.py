@@ -12,7 +12,8 @@ from matplotlib.collections import PolyCollection
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
-from flock_sim.messages.types import ARRAYS, State
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.types import State
 from flock_sim.recording.run import Run
 from flock_tools.commands.view import period, tool
 from flock_tools.figures import output as output_module

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, in_order, perturbations
 from flock_sim.errors import FlockError
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.state import ARRAYS
 from flock_sim.reference.integrator import Reference
 
 BIRDS, STEPS = 4, 60

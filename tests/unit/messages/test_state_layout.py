@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.state import ARRAYS
 from flock_sim.messages.state_layout import fields_of, members_of, values_of
-from flock_sim.messages.types import ARRAYS, State
+from flock_sim.messages.types import State
 
 
 @pytest.mark.parametrize("members", [1, 2, 7])

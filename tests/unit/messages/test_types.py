@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
+from flock_sim.messages.state import FRAME
 from flock_sim.messages.types import (
-    FRAME,
     Checkpoint,
     Grant,
     Memory,

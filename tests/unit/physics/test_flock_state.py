@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import ARRAYS, State
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.types import State
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
 

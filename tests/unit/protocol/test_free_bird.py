@@ -15,7 +15,8 @@ from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages.epochs import REACH
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import AGAIN, FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
-from flock_sim.messages.types import ARRAYS, Ages, Checkpoint, Grant, Progress, Stage, State, Wing
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.types import Ages, Checkpoint, Grant, Progress, Stage, State, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.dynamics import acceleration, drag_of_pair
 from flock_sim.physics.flock import Flock

@@ -15,6 +15,7 @@ from flock_sim.messages.stage_layout import HEADER, HEADER_AT
 from flock_sim.messages.types import Grant, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from support.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
+from support.random_forcing import random_forcing
 from support.random_links import random_links
 
 SPANS = ("0.9", "1.0", "1.07")
@@ -38,7 +39,11 @@ def configurations(draw) -> FlockConfiguration:
     steps = draw(st.integers(1, 8))
     moments = st.tuples(st.integers(1, birds), st.integers(0, steps))
     pushes = draw(st.lists(moments, max_size=3))
-    return FlockConfiguration(
+    forcing = ()
+    if draw(st.booleans()):
+        random = Random(draw(st.integers(0, 2**32 - 1)))
+        forcing = random_forcing(random, birds, members if entries else 2)
+    configuration = FlockConfiguration(
         birds=birds,
         coupling=coupling,
         dt=dt,
@@ -47,7 +52,10 @@ def configurations(draw) -> FlockConfiguration:
         span_ratios=tuple(entries),
         perturbations=tuple(f"{bird}@{step}=0.1,-0.003" for bird, step in pushes),
         links=links,
+        forcing=forcing,
     )
+    configuration.load_laws()
+    return configuration
 
 
 def two_exchanges_ahead(header, network, to, more=0):

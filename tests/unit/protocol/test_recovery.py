@@ -7,6 +7,7 @@ FLOCK_TORTURE=1 tries many more flights.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -17,6 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from support.crash_simulator import CLOCK, World
+from support.random_forcing import random_forcing
 from support.random_links import random_links
 
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
@@ -44,6 +46,10 @@ def random_world(seed: int, linked: bool = False) -> World:
         span_ratios=spans,
         links=random_links(random, birds, coupling, members) if linked else (),
     )
+    if random.random() < 0.5:
+        terms = random_forcing(random, birds, members)
+        configuration = replace(configuration, forcing=terms)
+        configuration.load_laws()
     record = random.random() < 0.75
     stages = record and random.random() < 0.3
     return World(configuration, random.choice([1, 2, 5, 64]), random, record=record, stages=stages)

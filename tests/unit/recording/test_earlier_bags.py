@@ -12,15 +12,9 @@ import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
+from flock_sim.messages.state import MEANS, STATE_ENVELOPE, STATE_HEAD, STATE_NUMBERS_AT, VALUES
 from flock_sim.messages.state_layout import has_means, members_of, values_of
-from flock_sim.messages.types import (
-    MEANS,
-    STATE_ENVELOPE,
-    STATE_HEAD,
-    STATE_NUMBERS_AT,
-    VALUES,
-    State,
-)
+from flock_sim.messages.types import State
 from flock_sim.recording.run import Run
 from flock_tools.commands import compare, metrics, picture, report
 from flock_tools.runs.dataset import load

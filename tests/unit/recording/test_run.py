@@ -21,7 +21,7 @@ from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.state import ARRAYS
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.run import Run
 from flock_sim.reference.integrator import Reference

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import KEYS
-from flock_sim.links.keys import BOTH, INTERVAL, NUMBERS, SEPARATOR
+from flock_sim.links.keys import BOTH, INTERVAL, NUMBERS
 from flock_sim.links.keys import KEYS as LINK_KEYS
 from flock_sim.links.registry import BUILT_IN, MODELS
 from flock_sim.links.settings import parted
+from flock_sim.model_text import SEPARATOR
 from flock_sim.reference.integrator import Reference
 from support.golden_flights import FLIGHTS, committed_digests, digest_of, golden_digest
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import MEANS, VALUES
+from flock_sim.messages.state import MEANS, VALUES
 from flock_sim.reference.integrator import Reference
 
 FLOWN = {

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.types import ARRAYS, VALUES, State
+from flock_sim.messages.state import ARRAYS, VALUES
+from flock_sim.messages.types import State
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.run import Run
 from flock_tools.runs import pairing

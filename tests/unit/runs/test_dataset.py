@@ -10,7 +10,7 @@ import xarray as xr
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.state import ARRAYS
 from flock_sim.recording.run import Run
 from flock_tools.runs import dataset
 from flock_tools.runs.dataset import load

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from flock_sim.commands.flight_report import add_output_options, claim_output, report
+from flock_sim.commands.law_option import LAW_WITHOUT_BAG, add_law_option
 from flock_sim.configuration.choices import EXECUTORS, MODES
 from flock_sim.configuration.operation import OPERATION
 from flock_sim.configuration.options import (
@@ -43,6 +44,7 @@ EXAMPLES = """\
   ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
   ./flock fly --span-ratio 4=0.95,1.0,1.05            three flocks at once, bird 4 differs
   ./flock fly --config flock.yaml --output runs/mine --force
+  ./flock fly --forcing gust:std=2e-5 --forcing my_laws.py:keeper:gap=0.8
   ./flock fly --resume runs/mine                      continues a flight that was cut short
   ./flock fly --mode free --t-max 500                 21 s in which no bird waits for another"""
 
@@ -51,6 +53,8 @@ def tool(arguments: Sequence[str]) -> int:
     """Fly a flock over ROS 2, record it, and print its report."""
     options = _parser().parse_args(arguments)
     if not options.resume:
+        if options.law:
+            raise FlockError(LAW_WITHOUT_BAG)
         return _fly(options, _plan(options, None))
     from flock_sim.commands.resume import resumable
 
@@ -102,6 +106,7 @@ def _parser() -> Parser:
         type=Path,
         help="continue a flight that was cut short, from the last step in its bag",
     )
+    add_law_option(parser, "--resume")
     how = parser.add_argument_group("execution", "these options change no bit of the result")
     free = parser.add_argument_group(
         "free flight", "birds do not wait for messages, so no two flights are equal"

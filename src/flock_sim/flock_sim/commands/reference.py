@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flock_sim.commands.flight_report import add_output_options, claim_output, report
-from flock_sim.configuration.options import FLOCK_OPTIONS, add_flock_options, flock_configuration
+from flock_sim.commands.law_option import LAW_WITHOUT_BAG, add_law_option, load_recorded_laws
+from flock_sim.configuration.options import (
+    FLOCK_OPTIONS,
+    add_flock_options,
+    flock_configuration,
+)
 from flock_sim.console.arguments import Parser, note, run_tool
 from flock_sim.errors import FlockError
 
@@ -41,8 +46,11 @@ def tool(arguments: Sequence[str]) -> int:
         type=Path,
         help="repeat the flight RUN: its configuration, and the perturbations in flight",
     )
+    add_law_option(parser, "--repeat")
     add_output_options(parser)
     options = parser.parse_args(arguments)
+    if options.law and not options.repeat:
+        raise FlockError(LAW_WITHOUT_BAG)
     configuration, live = (
         _repeated(options) if options.repeat else (flock_configuration(options), [])
     )
@@ -77,6 +85,7 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
         if run.missing:
             note(f"note: {run.missing}; it is repeated to its planned end")
         _check_own(run)
+        load_recorded_laws(run.own_parts, run.configuration, options.law, f"--repeat {run.path}")
         if run.real_time_factor:
             note(
                 f"note: {options.repeat} is a free flight, which can't be repeated; this flight is "
@@ -112,7 +121,7 @@ def _integrate(
     from flock_sim.reference.integrator import Reference
 
     # The rate must not include the load of compiled code.
-    warm_reference(*(() if configuration.link_table.plain else ("hold",)))
+    warm_reference(() if configuration.link_table.plain else ("hold",))
     seconds = 0.0
     with (
         recording(
@@ -135,19 +144,14 @@ def _integrate(
 
 def row(configuration: FlockConfiguration, recorded: FlockState) -> Row:
     """Return a recorded step as the messages that a flock of nodes would have sent."""
-    from flock_sim.messages.types import ARRAYS, State, Time, Wing
+    from flock_sim.messages.types import State, Time, Wing
     from flock_sim.recording.row_assembler import Row
 
     birds = range(configuration.birds)
     ratio = configuration.span_ratio
     wings = [Wing(0, i + 1, ratio[i]).encode() for i in birds] if recorded.step == 0 else []
     time_message = Time.at(configuration.stamp(recorded.step)).encode()
-    states = [
-        State.at(
-            configuration, recorded.step, *(getattr(recorded, name)[i] for name in ARRAYS)
-        ).encode()
-        for i in birds
-    ]
+    states = [state.encode() for state in State.of_flock(configuration, recorded)]
     return Row(recorded.step, wings, [], time_message, states)
 
 

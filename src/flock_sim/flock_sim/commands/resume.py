@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from flock_sim.commands.law_option import load_recorded_laws
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.errors import FlockError
@@ -64,6 +65,7 @@ def resumable(run: Path, options: argparse.Namespace) -> Iterator[Resumable]:
                     raise FlockError(GONE)
                 _check_flight(flown)
                 _check_birds(flown)
+                own = flown.own_parts
                 check_grants(flown.bag, flown.configuration)
                 flown.perturbations()
                 found = Resumable(
@@ -71,6 +73,7 @@ def resumable(run: Path, options: argparse.Namespace) -> Iterator[Resumable]:
                 )
         except FlockError as error:
             raise _refused(run, str(error)) from error
+        load_recorded_laws(own, found.configuration, options.law, f"--resume {run}")
         yield found
 
 

@@ -19,6 +19,9 @@ from flock_sim.configuration.choices import COUPLINGS
 from flock_sim.configuration.key import Key, told
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError, nearest
+from flock_sim.forcing import settings as forcing_text
+from flock_sim.forcing.forcing_table import ForcingTable
+from flock_sim.forcing.registry import BUILT_IN
 from flock_sim.links import keys
 from flock_sim.links.registry import MODELS
 
@@ -97,6 +100,23 @@ class FlockConfiguration:
         form=keys.FORM,
         example=keys.EXAMPLE,
     )
+    forcing: tuple[str, ...] = _key(
+        (),
+        "force besides thrust and drag on all birds, or on BIRD; several add up",
+        note=f"MODEL is one of {', '.join(BUILT_IN)}, FILE.py:LAW, or an installed law",
+        form=forcing_text.FORM,
+        example=forcing_text.EXAMPLE,
+    )
+
+    @classmethod
+    def given(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
+        """Do the same as `from_parameters` with values of the user: load the laws that they name.
+
+        Raises FlockError if a law can't be loaded or compiled, or one of its parameters is bad.
+        """
+        configuration = cls.from_parameters(parameters)
+        configuration.load_laws()
+        return configuration
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
@@ -164,14 +184,18 @@ class FlockConfiguration:
     def span_ratio(self) -> FloatArray:
         """lambda_i of every bird and member, shape (birds, members)."""
         ratio = ratios.array(self.span_ratios, self.birds)
-        members, others = ratio.shape[1], self.link_table.members
-        if members == 1:
-            return ratio.repeat(others, axis=1)
-        if others not in (1, members):
-            raise FlockError(
-                f"link {self.link_table.longest!r} has {others} members and span_ratios have "
-                f"{members}: give 1 or {members} to every link"
-            )
+        members, told = ratio.shape[1], "span_ratios have"
+        for others, entry in (
+            (self.link_table.members, f"link {self.link_table.longest!r}"),
+            (self.forcing_table.members, f"forcing {self.forcing_table.longest!r}"),
+        ):
+            if members == 1 and others > 1:
+                ratio, members, told = ratio.repeat(others, axis=1), others, f"{entry} has"
+            elif others not in (1, members):
+                raise FlockError(
+                    f"{entry} has {others} members and {told} {members}: give 1 or {members} to "
+                    "every link and forcing"
+                )
         return ratio
 
     @cached_property
@@ -181,6 +205,23 @@ class FlockConfiguration:
         from flock_sim.links.link_table import LinkTable
 
         return LinkTable(self.links, self.birds, self.coupling)
+
+    @cached_property
+    def forcing_table(self) -> ForcingTable:
+        """The forces besides thrust and drag. Laws of one's own are not loaded by reading it."""
+        return ForcingTable(self.forcing, self.birds)
+
+    def load_laws(self) -> None:
+        """Load the laws of one's own that `forcing` names, and check all values.
+
+        Raises FlockError if that fails. Call it for a configuration that the user has given, never
+        for one from a bag or a message: it runs the files that the configuration names.
+        """
+        if self.forcing:
+            from flock_sim.forcing.own_laws import load
+
+            load(self.forcing_table.names)
+            self.forcing_table.check()
 
     @cached_property
     def pushes(self) -> tuple[Perturbation, ...]:

@@ -21,6 +21,7 @@ FLOCK_OPTIONS = {
     "record_every": "--record-every",
     "perturbations": "--perturb",
     "links": "--link",
+    "forcing": "--forcing",
 }
 """The keys of the configuration that have an option, and the option."""
 
@@ -58,7 +59,7 @@ def add_flock_option(group: argparse._ArgumentGroup, name: str) -> None:
 def flock_configuration(options: argparse.Namespace) -> FlockConfiguration:
     """Return the configuration that the options give. Raises FlockError on a refused value."""
     if not options.config:
-        return FlockConfiguration.from_parameters(flock_parameters(options))
+        return FlockConfiguration.given(flock_parameters(options))
 
     # Imported here, since flocks without a file need no YAML.
     from flock_sim.configuration import parameter_file
@@ -67,7 +68,7 @@ def flock_configuration(options: argparse.Namespace) -> FlockConfiguration:
     given = parameter_file.read(options.config)
     with named(options.config):
         flown, _ = parted(given)  # a tool without nodes ignores their operation
-        return FlockConfiguration.from_parameters({**flown, **flock_parameters(options)})
+        return FlockConfiguration.given({**flown, **flock_parameters(options)})
 
 
 def flock_parameters(options: argparse.Namespace) -> dict[str, Any]:

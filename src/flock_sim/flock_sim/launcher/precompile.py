@@ -8,21 +8,30 @@ measure their own rates. Each function imports only the kernels that the tool is
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
 from flock_sim.configuration.choices import COUPLINGS
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 
+FORCING = ("constant:force=0", "sine:amplitude=0,period=1", "keeper:gap=1,stiffness=0")
+"""Forcing without random numbers, with each built-in law."""
+GUSTS = ("gust:std=0", "gust:std=0,time=1")
+"""Forcing with random numbers, with each built-in law."""
 
-def warm_reference(*links: str) -> None:
+
+def warm_reference(links: Sequence[str] = (), forcing: Sequence[str] = ()) -> None:
     """Call every kernel of the reference once, with the argument types of the reference.
 
-    `links` are those of the next flight; without any, its links are plain.
+    `links` and `forcing` are those of the next flight; without any, its links are plain.
     """
     from flock_sim.reference.integrator import Reference
 
-    for _ in Reference(FlockConfiguration(birds=2, t_max=2.0, links=links)).fly():
+    configuration = FlockConfiguration(
+        birds=2, t_max=2.0, links=tuple(links), forcing=tuple(forcing)
+    )
+    for _ in Reference(configuration).fly():
         pass
 
 
@@ -106,7 +115,7 @@ def warm_integral() -> None:
 if __name__ == "__main__":
     # The exchange loads ROS, which would end this process if that middleware is not installed.
     os.environ.pop("RMW_IMPLEMENTATION", None)
-    warm_reference()
+    warm_reference(forcing=FORCING + GUSTS)
     warm_bird()
     warm_links()
     warm_exchange()

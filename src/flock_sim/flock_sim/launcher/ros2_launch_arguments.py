@@ -104,7 +104,7 @@ def _told(birds: str, config: str) -> FlightParameters:
     """Return the configuration, and the file's operation of nodes, which read it themselves."""
     options = {"birds": birds} if birds else {}
     if not config:
-        return FlightParameters(FlockConfiguration.from_parameters(options))
+        return FlightParameters(FlockConfiguration.given(options))
     try:
         return of_flight(Path(config), options)
     except FlockError as error:

@@ -63,6 +63,7 @@ def hear(
     own_position: FloatArray,
     memory: FloatArray,
     known_position: FloatArray,
+    known_speed: FloatArray,
     known_circulation: FloatArray,
 ) -> None:
     """Receive what the source of `link` sends at `tick`, and fill what the target knows of it.
@@ -70,13 +71,15 @@ def hear(
     `link` (7,) and `faults` (10, members) are rows of a Plan, `memory` (vectors, members) is that
     of all its links. All others have shape (members,): the lateral distance, the present values of
     the source (read if an exchange of the link is due), the target's own position, and the result.
-    An unknown source has circulation 0, so it causes no drag.
+    The known speed is that of the latest message. An unknown source has circulation 0, so it causes
+    no drag.
     """
     step, stage = tick // STAGES, tick % STAGES
     rows = link[ROWS]
     if rows == 0:
         for m in range(known_position.shape[0]):
             known_position[m], known_circulation[m] = position[m], circulation[m]
+            known_speed[m] = speed[m]
         return
     if stage < rows:
         if step % link[INTERVAL] == 0:
@@ -90,8 +93,9 @@ def hear(
     for m in range(known_position.shape[0]):
         age = step - memory[at + SENT, m]
         if memory[at + SENT, m] < 0.0 or age > faults[TIMEOUT, m]:
-            known_position[m] = known_circulation[m] = 0.0
+            known_position[m] = known_speed[m] = known_circulation[m] = 0.0
         else:
+            known_speed[m] = memory[at + SPEED, m]
             known_position[m], known_circulation[m] = perceive(
                 link[MODEL],
                 (age + NODES[stage]) * dt,

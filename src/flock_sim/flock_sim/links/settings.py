@@ -8,8 +8,6 @@ values of a key are those of the members.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,13 +21,11 @@ from flock_sim.links.keys import (
     FORM,
     INTERVAL,
     JITTER,
-    KEYS,
     NUMBERS,
     SEED,
-    SEPARATOR,
-    LinkKey,
 )
 from flock_sim.links.registry import MODELS
+from flock_sim.model_text import items_of, members_of, values_of
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.runge_kutta import STAGES
 
@@ -106,7 +102,7 @@ def read(entry: str) -> tuple[tuple[int, int] | None, Settings]:
     names = [model.name for model in MODELS]
     if name not in names:
         raise FlockError(f"{called}: unknown model {name!r}: {nearest(name, names)}")
-    values = _values(called, items)
+    values = values_of(called, items, NUMBERS, BOTH)
     model = names.index(name)
     interval = values.pop(INTERVAL, [1.0])
     if len(set(interval)) > 1:
@@ -116,7 +112,7 @@ def read(entry: str) -> tuple[tuple[int, int] | None, Settings]:
             f"{called}: {name} needs an exchange at every stage; leave interval out, or take "
             f"{' or '.join(model.name for model in MODELS if not model.every_stage)}"
         )
-    members = _members(called, values)
+    members = members_of(called, values.items())
     faults = np.empty((len(FAULTS), members))
     for row, (key, bounds) in enumerate(FAULTS.items()):
         faults[row] = values.get(key, bounds.default)
@@ -142,43 +138,4 @@ def parted(entry: str) -> tuple[tuple[int, int] | None, str, list[tuple[str, str
                 f"link {entry!r}: must be {FORM} such as {EXAMPLE} or 3->4=linear:delay=2"
             )
     model, _, rest = (what if link else entry).partition(":")
-    items = (item.partition("=") for item in rest.split(",")) if rest else ()
-    return link, model, [(key, values) for key, _, values in items]
-
-
-def _values(called: str, items: Iterable[tuple[str, str]]) -> dict[str, list[float]]:
-    """Return the values of each key, from the text of its values."""
-    values: dict[str, list[float]] = {}
-    for key, given in items:
-        if key not in KEYS:
-            raise FlockError(f"{called}: unknown key {key!r}: {nearest(key, KEYS)}")
-        for single in BOTH.get(key, (key,)):
-            if single in values:
-                raise FlockError(f"{called}: {single} is given twice; leave one out")
-            values[single] = [
-                _number(called, key, word, NUMBERS[single]) for word in given.split(SEPARATOR)
-            ]
-    return values
-
-
-def _number(called: str, key: str, word: str, bounds: LinkKey) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not bounds.holds(value):
-        raise FlockError(f"{called}: {key}={word} must be {bounds.told}")
-    return value
-
-
-def _members(called: str, values: dict[str, list[float]]) -> int:
-    """Return the number of members that `values` have."""
-    members = max((len(given) for given in values.values()), default=1)
-    for key, given in values.items():
-        if len(given) not in (1, members):
-            longest = next(k for k, v in values.items() if len(v) == members)
-            raise FlockError(
-                f"{called}: {key} has {len(given)} values and {longest} {members}: give 1 or "
-                f"{members} of each, between {SEPARATOR!r}"
-            )
-    return members
+    return link, model, items_of(rest)

@@ -122,3 +122,10 @@ def fixed_layout(*kinds: str) -> struct.Struct:
     for kind in kinds:
         layout += f"{-struct.calcsize(layout) % struct.calcsize(kind)}x{kind}"
     return struct.Struct(layout)
+
+
+def step_at(kind: type[Message], data: bytes, at: int) -> int:
+    """Return the step at offset `at` of an encoded message. Raises ValueError if it is short."""
+    if len(data) < at + 8:
+        raise ValueError(f"{kind.TYPE}: {len(data)} bytes are too few")
+    return int.from_bytes(data[at : at + 8], "little")

@@ -6,18 +6,29 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.forcing.registry import digests_of
 
 LONGEST_VALUE = 40
 """Most characters of a value that are shown."""
 
 
-def handshake(configuration: FlockConfiguration, factor: float = 0.0) -> str:
-    """Return the configuration as JSON; `factor` is the real-time factor of a free flight."""
+def handshake(
+    configuration: FlockConfiguration, factor: float = 0.0, laws: Mapping[str, str] | None = None
+) -> str:
+    """Return the configuration as JSON; `factor` is the real-time factor of a free flight.
+
+    `laws` are the digests of the laws of one's own; None: of those that this process has loaded.
+    """
     flown = configuration.parameters()
+    if laws is None:
+        laws = digests_of(configuration.forcing_table.names)
+    if laws:
+        flown["laws"] = dict(laws)
     if factor:
         flown["real_time_factor"] = factor
     return json.dumps(flown, separators=(",", ":"))
@@ -31,6 +42,7 @@ def read_handshake(said: str) -> tuple[FlockConfiguration, float]:
     """
     flown = _object(said)
     factor = flown.pop("real_time_factor", 0.0)
+    flown.pop("laws", None)
     number = isinstance(factor, int | float) and not isinstance(factor, bool)
     if not number or not 0.0 <= factor <= sys.float_info.max:
         raise ValueError(f"terms: the real-time factor {_shown(factor)} is not a positive number")
@@ -47,15 +59,20 @@ def run_id_of(configuration: FlockConfiguration) -> int:
 
 
 def check_handshake(
-    who: str, configuration: FlockConfiguration, said: str, factor: float = 0.0
+    who: str,
+    configuration: FlockConfiguration,
+    said: str,
+    factor: float = 0.0,
+    laws: Mapping[str, str] | None = None,
 ) -> None:
     """Raise FlockError if the clock's terms, `said`, differ from those of the node `who`.
 
-    The error names the differences. `factor` is the real-time factor of the node, 0 in lockstep.
+    The error names the differences. `factor` is the real-time factor of the node, 0 in lockstep;
+    `laws` are as in `handshake`.
 
     Raises ValueError if `said` is not the text of terms.
     """
-    expected = handshake(configuration, factor)
+    expected = handshake(configuration, factor, laws)
     if said == expected:
         return
     theirs = _object(said)

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from flock_sim.messages.cdr import ENCAPSULATION
-from flock_sim.messages.types import (
+from flock_sim.messages.state import (
     ARRAYS,
     STATE_FRAME,
     STATE_FRAME_AT,
@@ -23,30 +24,67 @@ from flock_sim.messages.types import (
 )
 from flock_sim.physics.arrays import FloatArray
 
+_COUNT = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The lengths of the arrays of a state."""
+
+    members: int
+    arrays: int = len(ARRAYS)
+    """Number of arrays with one value per member; earlier versions had no means."""
+    forcing: int | None = 0
+    """Length of `forcing_state`; None: a state of an earlier version, without this field."""
+
+    @property
+    def size(self) -> int:
+        """Size of the state, in bytes."""
+        return State.lengths(self.members, self.arrays, self.forcing).size
+
+
+def layout_of(data: bytes) -> Layout | None:
+    """Return the layout of a state; None if it is not Flock's, or has no member."""
+    if not (data.startswith(ENCAPSULATION) and data.startswith(STATE_FRAME, STATE_FRAME_AT)):
+        return None
+    if len(data) < STATE_HEAD + _COUNT.size:
+        return None
+    (members,) = _COUNT.unpack_from(data, STATE_HEAD)
+    at = STATE_HEAD + len(ARRAYS) * (STATE_NUMBERS_AT + 8 * members)
+    forcing = _COUNT.unpack_from(data, at)[0] if len(data) >= at + _COUNT.size else 0
+    for layout, lengths in _layouts(len(data), members, forcing):
+        found = lengths.unpack(data)
+        if set(found[: layout.arrays]) == {members} and found[layout.arrays :] in ((), (forcing,)):
+            return layout
+    return None
+
 
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
-    if data.startswith(ENCAPSULATION) and data.startswith(STATE_FRAME, STATE_FRAME_AT):
-        for members, lengths in _layouts(len(data)):
-            if set(lengths.unpack(data)) == {members}:
-                return members
-    return 0
+    layout = layout_of(data)
+    return layout.members if layout else 0
 
 
 def has_means(data: bytes, members: int) -> bool:
     """Whether a state whose `members_of` is `members` has means; earlier versions had none."""
-    return len(data) == State.lengths(members).size
+    return len(data) != Layout(members, len(VALUES), None).size
 
 
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layouts(size: int) -> list[tuple[int, struct.Struct]]:
-    """Return the members that a state of `size` bytes may have, each with its `State.lengths`."""
-    found = []
-    for arrays in (len(ARRAYS), len(VALUES)):
-        members, rest = divmod(size - State.lengths(0, arrays).size, 8 * arrays)
-        if members > 0 and not rest:
-            found.append((members, State.lengths(members, arrays)))
-    return found
+def _layouts(size: int, members: int, forcing: int) -> list[tuple[Layout, struct.Struct]]:
+    """Return the layouts of `size` bytes that a state may have, each with its `State.lengths`."""
+    if not 0 < 8 * members < size or not 8 * forcing < size:
+        return []
+    layouts = (
+        Layout(members, len(ARRAYS), forcing),
+        Layout(members, len(ARRAYS), None),
+        Layout(members, len(VALUES), None),
+    )
+    return [
+        (one, State.lengths(one.members, one.arrays, one.forcing))
+        for one in layouts
+        if one.size == size
+    ]
 
 
 def same_head(one: bytes, other: bytes) -> bool:
@@ -70,38 +108,55 @@ def values_of(states: Sequence[bytes], members: int) -> FloatArray:
 
     The means of states without them are nan.
     """
-    if all(has_means(state, members) for state in states):
-        return fields_of(b"".join(states), members)[2]
     values = np.full((len(states), len(ARRAYS), members), np.nan)
-    for with_means in (True, False):
-        chosen = [k for k, state in enumerate(states) if has_means(state, members) is with_means]
-        if chosen:
-            block = b"".join(states[k] for k in chosen)
-            arrays = fields_of(block, members, with_means)[2]
-            values[chosen, : arrays.shape[1]] = arrays
+    for chosen, layout in _alike(states):
+        arrays = fields_of(b"".join(states[k] for k in chosen), layout)[2]
+        values[chosen, : layout.arrays] = arrays
+    return values
+
+
+def forcing_states_of(states: Sequence[bytes], numbers: int, members: int) -> FloatArray:
+    """Return the forcing states of states as above, shape (states, numbers, members).
+
+    Those of another length are nan.
+    """
+    values = np.full((len(states), numbers, members), np.nan)
+    for chosen, layout in _alike(states):
+        if numbers and layout.forcing == numbers * members:
+            found = np.frombuffer(b"".join(states[k] for k in chosen), dtype=_fields(layout))
+            values[chosen] = found["forcing"].reshape(-1, numbers, members)
     return values
 
 
 def fields_of(
-    states: bytes, members: int, with_means: bool = True
+    states: bytes, layout: Layout
 ) -> tuple[npt.NDArray[np.uint64], FloatArray, FloatArray]:
-    """Return the fields of joined states that have `members`, and all means or none.
+    """Return the fields of joined states that all have `layout`.
 
     These are step and time, of shape (states,), and the arrays, of shape (states, 6 or 4, members).
     """
-    fields = np.frombuffer(states, dtype=_fields(members, with_means))
+    fields = np.frombuffer(states, dtype=_fields(layout))
     return fields["step"], fields["time"], fields["arrays"]["values"]
 
 
+def _alike(states: Sequence[bytes]) -> list[tuple[list[int], Layout]]:
+    """Return the indices of states of one length, and their layout, for each length."""
+    places: dict[int, list[int]] = {}
+    for k, state in enumerate(states):
+        places.setdefault(len(state), []).append(k)
+    found = [(chosen, layout_of(states[chosen[0]])) for chosen in places.values()]
+    return [(chosen, layout) for chosen, layout in found if layout]
+
+
 @lru_cache(maxsize=64)
-def _fields(members: int, with_means: bool) -> np.dtype[np.void]:
-    arrays = len(ARRAYS if with_means else VALUES)
-    array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (members,))])
+def _fields(layout: Layout) -> np.dtype[np.void]:
+    array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (layout.members,))])
+    head = STATE_HEAD + layout.arrays * array.itemsize
     return np.dtype(
         {
-            "names": ["step", "time", "arrays"],
-            "formats": ["<u8", "<f8", (array, (arrays,))],
-            "offsets": [STATE_STEP_AT, STATE_STEP_AT + 8, STATE_HEAD],
-            "itemsize": State.lengths(members, arrays).size,
+            "names": ["step", "time", "arrays", "forcing"],
+            "formats": ["<u8", "<f8", (array, (layout.arrays,)), ("<f8", (layout.forcing or 0,))],
+            "offsets": [STATE_STEP_AT, STATE_STEP_AT + 8, STATE_HEAD, head + STATE_NUMBERS_AT],
+            "itemsize": layout.size,
         }
     )

@@ -7,7 +7,6 @@ With these classes, the state machines, the recorder and the offline tools need 
 
 from __future__ import annotations
 
-import struct
 from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
@@ -27,26 +26,11 @@ from flock_sim.messages.cdr import (
     UInt32,
     UInt64,
     fixed_layout,
+    step_at,
 )
 from flock_sim.messages.cdr import Message as Message
-from flock_sim.physics.arrays import FloatArray
-
-FRAME = "flock"
-
-BILLION = 1_000_000_000
-
-ARRAYS = (
-    "position",
-    "speed",
-    "circulation",
-    "interaction_drag",
-    "mean_speed",
-    "mean_interaction_drag",
-)
-"""The fields of a state that have one value per member, in the order of the message."""
-
-VALUES, MEANS = ARRAYS[:4], ARRAYS[4:]
-"""The values at the time of a state, and the means that states of earlier versions lack."""
+from flock_sim.messages.state import BILLION as BILLION
+from flock_sim.messages.state import State as State
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,100 +68,6 @@ class Stage(Message):
             data, len(ENCAPSULATION)
         )
         return run_id, step, epoch, bird, stage, members
-
-
-@dataclass(frozen=True, slots=True)
-class State(Message):
-    """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless.
-
-    The means are over all steps since the last recorded state, this step included. A state that was
-    recorded by an earlier version has none: they are empty.
-    """
-
-    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
-
-    seconds: Int32
-    nanoseconds: UInt32
-    frame: Text
-    step: UInt64
-    time: Float64
-    position: Numbers
-    speed: Numbers
-    circulation: Numbers
-    interaction_drag: Numbers
-    mean_speed: Numbers
-    mean_interaction_drag: Numbers
-    run_id: UInt64 = 0
-    epoch: UInt32 = 0
-
-    @classmethod
-    def decode(cls, data: bytes) -> State:
-        """Return the state in `data`, also of an earlier version. Raises ValueError as Message."""
-        try:
-            return cls(*cls.values_in(data, cls.KINDS))
-        except ValueError:
-            kinds = [*cls.KINDS[: -len(MEANS) - 2], *cls.KINDS[-2:]]
-            *values, run_id, epoch = cls.values_in(data, kinds)
-            no_means = len(MEANS) * [np.empty(0)]
-            early = cls(*[*values, *no_means, run_id, epoch])
-            if len(data) != cls.lengths(len(early.position), len(VALUES)).size:
-                raise
-            return early
-
-    @staticmethod
-    def step_of(data: bytes) -> int:
-        """Return the step of an encoded state, without decoding it."""
-        return _step(State, data, STATE_STEP_AT)
-
-    @staticmethod
-    def lengths(members: int, arrays: int = len(ARRAYS)) -> struct.Struct:
-        """Return the struct that reads the array lengths of an encoded state of `members`.
-
-        A state without means has fewer `arrays`: those of VALUES.
-        """
-        array = f"I{STATE_NUMBERS_AT - 4}x{8 * members}x"
-        return struct.Struct(f"<{STATE_HEAD}x{array * arrays}{STATE_ENVELOPE.size}x")
-
-    @staticmethod
-    def envelope(data: bytes) -> tuple[int, int]:
-        """Return run id and epoch of an encoded state, without decoding it."""
-        run_id, epoch = STATE_ENVELOPE.unpack_from(data, len(data) - STATE_ENVELOPE.size)
-        return run_id, epoch
-
-    @staticmethod
-    def opened(data: bytes) -> bytes:
-        """Return an encoded state as it is recorded: with run id and epoch 0."""
-        return data[: -STATE_ENVELOPE.size] + bytes(STATE_ENVELOPE.size)
-
-    @classmethod
-    def at(
-        cls,
-        configuration: FlockConfiguration,
-        step: int,
-        position: FloatArray,
-        speed: FloatArray,
-        circulation: FloatArray,
-        interaction_drag: FloatArray,
-        mean_speed: FloatArray,
-        mean_interaction_drag: FloatArray,
-        run_id: int = 0,
-        epoch: int = 0,
-    ) -> State:
-        """Return the state at the beginning of `step`, with its stamp and time."""
-        return cls(
-            *divmod(configuration.stamp(step), BILLION),
-            FRAME,
-            step,
-            configuration.time(step),
-            position,
-            speed,
-            circulation,
-            interaction_drag,
-            mean_speed,
-            mean_interaction_drag,
-            run_id,
-            epoch,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +124,7 @@ class Memory(Message):
     @staticmethod
     def step_of(data: bytes) -> int:
         """Return the step of an encoded memory, without decoding it."""
-        return _step(Memory, data, MEMORY_STEP_AT)
+        return step_at(Memory, data, MEMORY_STEP_AT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,6 +154,7 @@ class Checkpoint(Message):
     `position` and `speed` have shape (birds * members,), bird by bird; they are empty if the flight
     starts at its beginning. `perturbations` are those requested in flight so far, separated by
     spaces. `memory` joins the memories of all birds; it is empty if no bird has one.
+    `forcing_state` joins those of the states of all birds.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/Checkpoint"
@@ -275,6 +166,7 @@ class Checkpoint(Message):
     speed: Numbers
     perturbations: Text = ""
     memory: Numbers = field(default_factory=lambda: np.empty(0))
+    forcing_state: Numbers = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of_start(cls, run_id: int, epoch: int, perturbations: str = "") -> Checkpoint:
@@ -343,22 +235,4 @@ class Time(Message):
 
 # The layout of encoded messages, in bytes, for code that does not decode them.
 STAGE_HEADER = fixed_layout(*Stage.KINDS[: Stage.KINDS.index("numbers")], "I")
-_ONE = np.zeros(1)
-_STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE, _ONE, _ONE)
-STATE_STEP_AT = _STATE.place("step")
-STATE_FRAME_AT = _STATE.place("frame")
-STATE_FRAME = _STATE.encode()[STATE_FRAME_AT:][: 4 + len(FRAME) + 1]
-"""FRAME in a state: its length, its text and a zero."""
-STATE_HEAD = _STATE.place(ARRAYS[0])
-"""Size of the fields before the arrays, with the encapsulation."""
-STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8
-"""Offset of the numbers of an array: its length and the padding come first."""
-STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
-"""Run id and epoch, the last fields of a state."""
 MEMORY_STEP_AT = Memory(0, 0, 0, 0, np.empty(0)).place("step")
-
-
-def _step(kind: type[Message], data: bytes, at: int) -> int:
-    if len(data) < at + 8:
-        raise ValueError(f"{kind.TYPE}: {len(data)} bytes are too few")
-    return int.from_bytes(data[at : at + 8], "little")

@@ -16,10 +16,10 @@ from flock_sim.messages import types as messages
 from flock_sim.messages.rejection import MALFORMED
 from flock_sim.nodes.own_birds import announce, own_name
 from flock_sim.protocol.bird import BirdProtocol
-from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.ros.compiled_exchange import (
     FAILED,
+    FAULTY,
     OVER,
     STRANGE,
     UNSENT,
@@ -47,9 +47,6 @@ Heard = TypeVar("Heard", bound=messages.Message)
 class BirdNode(DrainedNode):
     """A bird node. It only moves messages between its protocol and its topics."""
 
-    control: Control | None = None
-    """A force in addition to thrust and drag: subclasses may define it as a method."""
-
     def __init__(
         self,
         bird: int,
@@ -75,11 +72,9 @@ class BirdNode(DrainedNode):
             start_parameter_services=services,
             enable_rosout=services,
         )
-        self.protocol = protocol or BirdProtocol(
-            bird, configuration, run_id, new_incarnation(), self.control
-        )
+        self.protocol = protocol or BirdProtocol(bird, configuration, run_id, new_incarnation())
         """The state machine of this bird."""
-        if own := own_name(self, self.protocol, self.protocol.control):
+        if own := own_name(self, self.protocol):
             announce(self, own)
         self._exchange: CompiledExchange | None = None
         outlets = outlets or _outlets(bird, configuration)
@@ -194,6 +189,8 @@ class BirdNode(DrainedNode):
             self._send(protocol.advance())
         elif outcome == FAILED:
             moved |= self._take_missing()
+        elif outcome == FAULTY:
+            protocol.check()
         elif outcome == UNSENT:
             self._send(protocol.last_said[-1:])
         return moved

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Birds of the user's own program: a recorder, in any process, learns that they fly.
 
-A node whose class, protocol or control is not Flock's creates a publisher on a topic whose name
-ends with the name of that class or control. The topic has no messages. The node creates it before
+A node whose class or protocol is not Flock's creates a publisher on a topic whose name ends with
+the name of that class. The topic has no messages. The node creates it before
 its other topics, so a recorder that has discovered these has discovered it, too. A player does the
 same for the own birds that are named in the bag.
 """
@@ -23,19 +23,16 @@ _PREFIX = f"{NAMESPACE}/own/"
 _LONGEST = 100  # characters of a name: the length of a topic's name is limited
 
 
-def own_name(node: object, protocol: object, control: object) -> str:
-    """Return the name of the class of a bird's node or protocol, or of its control, if not Flock's.
-
-    It is empty if all of them are Flock's; Flock itself has no control.
-    """
+def own_name(node: object, protocol: object) -> str:
+    """Return the name of the class of a bird's node or protocol that is not Flock's, or ""."""
     for part in (node, protocol):
         if not type(part).__module__.startswith("flock_sim."):
             return type(part).__name__
-    return getattr(control, "__name__", type(control).__name__) if control else ""
+    return ""
 
 
 def announce(node: Node, name: str) -> None:
-    """Tell all recorders that birds of the own class or control `name` fly, as `node`.
+    """Tell all recorders that birds of the own class `name` fly, as `node`.
 
     A topic's name can't have all characters: those of other alphabets become underscores.
     """

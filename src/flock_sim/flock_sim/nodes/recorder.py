@@ -265,6 +265,7 @@ class RecorderNode(DrainedNode):
             np.concatenate([state.speed for state in states]),
             pushes,
             np.concatenate([np.empty(0), *(memory.data for memory in memories)]),
+            np.concatenate([state.forcing_state for state in states]),
         )
 
     def _hear_wing(self, bird: int, data: bytes) -> list[Row]:

@@ -14,6 +14,9 @@ Function = TypeVar("Function", bound=Callable[..., object])
 RULES = {"error_model": "numpy", "fastmath": False, "nogil": True}
 """Options of numba for all kernels."""
 
+ADDRESS: Any = numba.types.intp
+"""The type of an address in compiled code."""
+
 _CALLABLE: set[FunctionType] = set()
 """The plain functions that kernels can call."""
 
@@ -35,6 +38,16 @@ def inlined(function: Function) -> Function:
     A call would prevent the compiler from vectorising the loop.
     """
     return _compiled(function, forceinline=True)
+
+
+@numba.extending.intrinsic
+def pointer(_: Any, address: Any) -> Any:
+    """Convert a number to an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], numba.core.cgutils.voidptr_t)
+
+    return numba.types.voidptr(address), generate
 
 
 def _compiled(function: Function, **options: bool) -> Function:

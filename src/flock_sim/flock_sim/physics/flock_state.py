@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +37,8 @@ class FlockState:
     """U_i, the mean over the steps since the last recorded state; nan if it was not recorded."""
     mean_interaction_drag: FloatArray
     """sum_j D_ji, the mean over the same steps."""
+    forcing_state: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
+    """The state of all forcing laws, shape (birds, numbers, members); empty without any."""
 
     @classmethod
     def of(cls, states: Sequence[State]) -> FlockState:
@@ -52,6 +54,7 @@ class FlockState:
             mean_interaction_drag=np.stack(
                 [_known(state.mean_interaction_drag, state) for state in states]
             ),
+            forcing_state=_forcing_state(states),
         )
 
     def member(self, m: int) -> FlockState:
@@ -64,7 +67,9 @@ class FlockState:
             self.mean_speed,
             self.mean_interaction_drag,
         )
-        return FlockState(self.step, self.time, *(values[:, m] for values in arrays))
+        state = self.forcing_state[:, :, m] if self.forcing_state.size else self.forcing_state
+        own = FlockState(self.step, self.time, *(values[:, m] for values in arrays))
+        return replace(own, forcing_state=state)
 
     @property
     def from_leader(self) -> FloatArray:
@@ -90,3 +95,12 @@ class FlockState:
 def _known(means: FloatArray, state: State) -> FloatArray:
     """Return the means in a state; nan where it has none, as those of earlier versions."""
     return means if len(means) else np.full(len(state.speed), np.nan)
+
+
+def _forcing_state(states: Sequence[State]) -> FloatArray:
+    """Return the forcing states of all birds, (birds, numbers, members); empty if they differ."""
+    lengths = {len(state.forcing_state) for state in states}
+    members = len(states[0].speed)
+    if len(lengths) > 1 or max(lengths) % members:
+        return np.empty((0, 0, 0))
+    return np.stack([state.forcing_state.reshape(-1, members) for state in states])

@@ -23,7 +23,6 @@ from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Checkpoint, Grant, Wing
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.checkpoints import Checkpoints
-from flock_sim.protocol.control_force import Control
 from flock_sim.protocol.motion import LockstepMotion
 from flock_sim.protocol.neighbours import Listener, Neighbourhood
 from flock_sim.protocol.session import Channel, Granted, Outgoing, Session
@@ -50,15 +49,12 @@ class BirdProtocol(Listener):
         configuration: FlockConfiguration,
         run_id: int = 0,
         incarnation: int = 0,
-        control: Control | None = None,
     ) -> None:
         """Place bird 1..N at its start. `run_id` 0: the run of the first grant received.
 
-        `incarnation` distinguishes this process of the bird from earlier ones. `control` gives a
-        force in addition to thrust and drag.
+        `incarnation` distinguishes this process of the bird from earlier ones.
         """
         self.bird = bird
-        self.control = control
         self.ignored_for = Counter()
         self.ignored = 0
         self._configuration = configuration
@@ -76,7 +72,7 @@ class BirdProtocol(Listener):
         self._around = Neighbourhood(bird, configuration)
         schedule = configuration.link_table.exchange_schedule
         self._inbox = StageInbox(self._around.birds, configuration.members, schedule, run_id, bird)
-        self._motion = LockstepMotion(bird, configuration, self._around, self._inbox, control)
+        self._motion = LockstepMotion(bird, configuration, self._around, self._inbox)
         self.words = self._inbox.words
         """The words that the compiled exchange continues from; see `protocol/stage_words.py`."""
         self.outbox = self._motion.outbox
@@ -198,6 +194,10 @@ class BirdProtocol(Listener):
             self.ignore(FOREIGN_RUN)
         self._inbox.word[FOREIGN] = 0
 
+    def check(self) -> None:
+        """Raise RunFailed if a law of the forcing has failed in this step."""
+        self._motion.check(self.tick)
+
     @property
     def on_fast_path(self) -> bool:
         """Whether this tick needs no more than the exchange of messages."""
@@ -258,6 +258,7 @@ class BirdProtocol(Listener):
         self.in_flight = self._session.flying = True
         self._pushes = self._checkpoints.pushes(checkpoint)
         self._began = STAGES * checkpoint.step
+        self._motion.learn_geometry()
         self._motion.begin(checkpoint)
         if len(checkpoint.position):
             self._start = checkpoint.step  # a recorded state includes the pushes of its step

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.forcing import frame
+from flock_sim.forcing.stage import compute_force
 from flock_sim.messages.stage_layout import FIRST_WORD
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.dynamics import canonical, circulation_at, drag_of_pair
 from flock_sim.physics.runge_kutta import STAGES
@@ -67,6 +69,7 @@ def feel_and_move(
     heard: FloatArray,
     mine: FloatArray,
     work: FloatArray,
+    forcing: IntArray,
 ) -> None:
     """Compute the drag at `tick` and the values at the next tick.
 
@@ -74,7 +77,8 @@ def feel_and_move(
     The arrays are few, since each costs 0.2 us to pass. `own` (5, members) holds the coefficients,
     `interactions` is the interaction array of the neighbours; `heard` (2, neighbours, words) and
     `mine` (2, words) are the stage messages of even and odd ticks; `work` is (9, members). The
-    function fills `mine` of the next tick, and at the last stage the values in `work`.
+    function fills `mine` of the next tick, and at the last stage the values in `work`. `forcing`
+    are the words of the forcing of the bird, none without it; a fault of a law is noted in them.
     """
     members = own.shape[1]
     now, following = mine[tick & 1], mine[1 - (tick & 1)]
@@ -120,6 +124,9 @@ def feel_and_move(
         step = tick // STAGES
         sum_up(step, every, speed_here, work[DRAG], work[SPEED_SUM], work[DRAG_SUM])
 
+    if forcing.shape[0] > 0:
+        _add_force(tick, dt, own, heard[tick & 1], now, forcing)
+
     position_now = following[position : position + members]
     speed_now = following[speed : speed + members]
     for m in range(members):
@@ -144,3 +151,34 @@ def feel_and_move(
             work[SPEED, m] = speed_now[m]
             work[SPEED_SUM_BEFORE, m] = work[SPEED_SUM, m]
             work[DRAG_SUM_BEFORE, m] = work[DRAG_SUM, m]
+
+
+@kernel
+def _add_force(
+    tick: int,
+    dt: float,
+    own: FloatArray,
+    heard: FloatArray,
+    now: FloatArray,
+    forcing: IntArray,
+) -> None:
+    """Set the thrust of a bird to that without forcing plus the force of its laws at `tick`.
+
+    `heard` (neighbours, words) and `now` (words,) are the stage messages of this tick.
+    """
+    members, count = forcing[frame.MEMBERS], forcing[frame.NEIGHBOURS]
+    present = frame.matrix(forcing[frame.NOW], 3, members)
+    near = frame.matrix(forcing[frame.NEAR], 3 * members, count)
+    for row in range(3):
+        at = FIRST_WORD + row * (members + 1)
+        for m in range(members):
+            present[row, m] = now[at + m]
+        if forcing[frame.LOOKS]:
+            for k in range(count):
+                for m in range(members):
+                    near[row * members + m, k] = heard[k, at + m]
+    compute_force(forcing, tick, dt)
+    thrust = frame.matrix(forcing[frame.OWN], frame.OWN_ROWS, members)[frame.THRUST]
+    force = frame.vector(forcing[frame.FORCE], members)
+    for m in range(members):
+        own[THRUST, m] = thrust[m] + force[m]

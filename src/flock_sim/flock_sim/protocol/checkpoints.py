@@ -80,10 +80,13 @@ class Checkpoints:
         except FlockError:
             return False
         memory = configuration.link_table.memory_ends[-1] if size else 0
+        numbers = configuration.forcing_table.states if size else 0
         return (
             size == len(checkpoint.speed)
             and size in (0, configuration.birds * configuration.members)
             and checkpoint.step <= (configuration.steps if size else 0)
             and checkpoint.step % configuration.record_every == 0
             and len(checkpoint.memory) == memory * configuration.members
+            and len(checkpoint.forcing_state)
+            == numbers * configuration.birds * configuration.members
         )

@@ -234,6 +234,7 @@ class FreeBird(Listener):
         ready = self._around.known and self._latest.complete
         if self._reached >= 0 or self._session.epoch == NEVER or self._granted > 0 or not ready:
             return []
+        self._motion.learn_geometry()
         self._feel(0)  # the first call loads the compiled kernel; `tick` repeats it
         self._reached = 0
         return [self._progress(self._reached)]

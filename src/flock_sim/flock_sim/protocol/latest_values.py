@@ -91,12 +91,14 @@ def _fill(
     values: FloatArray,
     known: FloatArray,
 ) -> None:
-    """Fill the positions and circulations of `known` (neighbours, words)."""
+    """Fill positions, speeds and circulations of `known` (neighbours, words)."""
     members = values.shape[2]
+    speed = FIRST_WORD + members + 1
     circulation = FIRST_WORD + 2 * (members + 1)
     for k in range(values.shape[0]):
         age = (step - steps[k] + NODES[stage]) * dt
         for m in range(members):
+            known[k, speed + m] = values[k, SPEED, m]
             known[k, FIRST_WORD + m], known[k, circulation + m] = perceive(
                 models[k],
                 age,

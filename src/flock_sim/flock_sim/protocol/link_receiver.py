@@ -44,7 +44,7 @@ class LinkReceiver:
     def listen(
         self, tick: int, interactions: FloatArray, said: FloatArray, mine: FloatArray
     ) -> FloatArray:
-        """Return the known values at `tick`, as stage messages without the speed.
+        """Return the known values at `tick`, as stage messages.
 
         `said` has shape (neighbours, words): the messages of this tick if it has an exchange.
         `interactions` and `mine` are as in `feel_and_move`; the result is its `heard` at this tick.
@@ -94,6 +94,7 @@ def _listen(
             own,
             memory,
             known[side, k, position : position + members],
+            known[side, k, speed : speed + members],
             known[side, k, circulation : circulation + members],
         )
 

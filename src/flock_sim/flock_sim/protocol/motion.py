@@ -9,7 +9,9 @@ import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.forcing.bird_forcing import BirdForcing
 from flock_sim.messages.stage_layout import stage_bytes, stage_numbers, stage_words
+from flock_sim.messages.state import NOTHING
 from flock_sim.messages.types import Checkpoint, Memory, State
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
@@ -26,11 +28,10 @@ from flock_sim.protocol.bird_kernel import (
     constants,
     feel_and_move,
 )
-from flock_sim.protocol.control_force import Control, Steering
 from flock_sim.protocol.link_receiver import LinkReceiver
 from flock_sim.protocol.neighbours import Neighbourhood
 from flock_sim.protocol.stage_inbox import StageInbox
-from flock_sim.protocol.stage_words import EVERY, OWN, SENT, say
+from flock_sim.protocol.stage_words import EVERY, FORCING, FORCING_WORDS, OWN, SENT, say
 
 
 class Motion:
@@ -46,6 +47,9 @@ class Motion:
         self._own = constants(bird, configuration)
         self._mine = np.zeros((2, stage_words(members)))
         self._work = np.zeros((WORK_ROWS, members))
+        self._around = around
+        self._forcing = forcing_of(bird, configuration, self._own, around)
+        self._forcing_words = self._forcing.words if self._forcing else np.zeros(0, dtype=np.int64)
         for values in self._mine:
             stage_bytes(values, members)
 
@@ -53,6 +57,8 @@ class Motion:
         """Take the values of the start of the flight."""
         self._work[POSITION] = formation.start_position(self.bird, self._configuration.birds)
         self._work[SPEED] = Scales.of(self._configuration).cruise_speed
+        if self._forcing:
+            self._forcing.begin()
         begin(self._own, self._mine, self._work)
 
     def push(self, pushes: Iterable[Perturbation]) -> None:
@@ -75,7 +81,19 @@ class Motion:
             heard,
             self._mine,
             self._work,
+            self._forcing_words,
         )
+        self.check(tick)
+
+    def learn_geometry(self) -> None:
+        """Take the lateral distances to the neighbours, once all their wings are known."""
+        if self._forcing:
+            self._forcing.lateral[:] = self._around.lateral
+
+    def check(self, tick: int) -> None:
+        """Raise RunFailed if a law has failed at `tick`."""
+        if self._forcing:
+            self._forcing.check(tick // STAGES)
 
     def numbers(self, tick: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, speed and circulation at `tick`, each of shape (members,)."""
@@ -92,6 +110,7 @@ class Motion:
             interaction_drag=work[DRAG],
             mean_speed=work[SPEED_SUM] / averaged,
             mean_interaction_drag=work[DRAG_SUM] / averaged,
+            forcing_state=self._forcing.start.ravel() if self._forcing else NOTHING,
             run_id=run_id,
             epoch=epoch,
         )
@@ -106,17 +125,13 @@ class LockstepMotion(Motion):
         configuration: FlockConfiguration,
         around: Neighbourhood,
         inbox: StageInbox,
-        control: Control | None = None,
     ) -> None:
-        """Take the coefficients of `bird`. `control` gives a force besides thrust and drag."""
+        """Take the coefficients of `bird`, and let the words of `inbox` point to its values."""
         super().__init__(bird, configuration, around)
         self._inbox = inbox
         self._said = np.zeros_like(self._mine)
         self.outbox = [stage_bytes(values, configuration.members) for values in self._said]
         """Its last two stage messages: one for each side of the inbox."""
-        self._steering = (
-            Steering(bird, control, self._own, around.birds, configuration) if control else None
-        )
         remembers = configuration.link_table.remembers(bird)
         self._receiver = LinkReceiver(bird, configuration) if remembers else None
         inbox.words[EVERY] = self._every
@@ -124,11 +139,13 @@ class LockstepMotion(Motion):
         for address, array in enumerate(arrays, OWN):
             assert array.flags.c_contiguous
             inbox.words[address] = array.ctypes.data
+        inbox.words[FORCING] = self._forcing_words.ctypes.data
+        inbox.words[FORCING_WORDS] = len(self._forcing_words)
 
     @property
     def only_exchanges(self) -> bool:
         """Whether a stage needs no more than the exchange of messages and the kernel."""
-        return self._inbox.every_tick and not (self._receiver or self._steering)
+        return self._inbox.every_tick and not self._receiver
 
     def begin(self, checkpoint: Checkpoint) -> None:
         """Take the values of a checkpoint; an empty one is the start of the flight."""
@@ -137,6 +154,8 @@ class LockstepMotion(Motion):
             mine = slice((self.bird - 1) * members, self.bird * members)
             self._work[POSITION] = checkpoint.position[mine]
             self._work[SPEED] = checkpoint.speed[mine]
+            if self._forcing:
+                self._forcing.begin(self._forcing_state(checkpoint))
             begin(self._own, self._mine, self._work)
         else:
             self.start()
@@ -150,9 +169,13 @@ class LockstepMotion(Motion):
             heard = self._receiver.listen(
                 tick, self._interactions, heard[self._inbox.side], self._mine
             )
-        if self._steering is not None:
-            self._steering.steer(tick, heard, self._mine)
         self.compute(tick, heard)
+
+    def _forcing_state(self, checkpoint: Checkpoint) -> FloatArray:
+        """Return the forcing state of this bird in a checkpoint, (numbers, members)."""
+        rows = len(self._forcing.start) if self._forcing else 0
+        birds, members = self._configuration.birds, self._configuration.members
+        return np.asarray(checkpoint.forcing_state.reshape(birds, rows, members)[self.bird - 1])
 
     def say(self) -> bytes:
         """Return the message with the values at this tick, which has an exchange."""
@@ -170,3 +193,14 @@ class LockstepMotion(Motion):
         if self._receiver is None:
             return None
         return Memory(run_id, step, epoch, self.bird, self._receiver.memory.ravel())
+
+
+def forcing_of(
+    bird: int, configuration: FlockConfiguration, own: FloatArray, around: Neighbourhood
+) -> BirdForcing | None:
+    """Return the forcing of a bird; None if the flock has none. `own` are its constants."""
+    table = configuration.forcing_table
+    if not table.entries:
+        return None
+    ratio = configuration.span_ratio[bird - 1]
+    return BirdForcing(bird, configuration.birds, table, own, ratio, around.birds, configuration.dt)

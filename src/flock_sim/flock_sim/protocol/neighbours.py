@@ -13,8 +13,8 @@ from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, STRANGE
 from flock_sim.messages.topics import bird_name
 from flock_sim.messages.types import Grant, Progress, Wing
 from flock_sim.physics import formation
-from flock_sim.physics.stage_kernels import fill_interactions, interaction_array
-from flock_sim.protocol.control_force import Control
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.stage_kernels import LATERAL, fill_interactions, interaction_array
 from flock_sim.protocol.session import Channel, Outgoing, Session
 
 EARLY = 16
@@ -46,6 +46,16 @@ class Neighbourhood:
     def unknown(self) -> list[int]:
         """The neighbours whose wings are not known."""
         return [other for other in self.birds if other not in self._wings]
+
+    @property
+    def lateral(self) -> FloatArray:
+        """y of each neighbour minus that of the bird, in b, shape (members, neighbours).
+
+        Only once every wing is known.
+        """
+        distance = self.interactions[LATERAL, : len(self.birds) * self._members]
+        left = np.where(np.array(self.birds) < self._bird, -1.0, 1.0)
+        return np.asarray(distance.reshape(len(self.birds), self._members).T * left)
 
     def hear(self, wing: Wing, run_id: int) -> str:
         """Store a neighbour's wing; return why it is ignored, or "". `run_id` 0: not known yet.
@@ -98,8 +108,6 @@ class Listener:
     _end: int
     bird: int
     """Its number, from 1."""
-    control: Control | None = None
-    """A force in addition to thrust and drag; None: there is none."""
     ignored: int
     """Number of ignored messages."""
     ignored_for: Counter[str]

@@ -21,7 +21,7 @@ from flock_sim.messages.stage_layout import (
     WORD,
 )
 from flock_sim.physics.arrays import IntArray
-from flock_sim.physics.compile import kernel
+from flock_sim.physics.compile import ADDRESS, kernel, pointer
 from flock_sim.physics.compiler import numba
 from flock_sim.physics.runge_kutta import STAGES
 
@@ -38,11 +38,13 @@ EVERY = 13
 LACKING = 14
 # The addresses of the array arguments of `feel_and_move`, and of the last two messages sent.
 OWN, INTERACTIONS, HEARD, MINE, WORK, SAID = range(16, 22)
+# The address and the number of the words of its forcing; see `forcing/frame.py`.
+FORCING, FORCING_WORDS = 22, 23
 # The addresses of the publisher, of the buffer for incoming messages, and of the messages to send
 # on each side: structures of rcl.
-PUBLISHER, INCOMING, OUTGOING = 22, 23, 24
+PUBLISHER, INCOMING, OUTGOING = 24, 25, 26
 # The header of the message that is being checked.
-HEADER = 26
+HEADER = 28
 # For each neighbour: its number, the address of the subscription to it, and whether its message has
 # arrived on each side.
 FIRST = HEADER + HEADER_WORDS
@@ -55,19 +57,8 @@ TAKEN, NOT_AWAITED, OTHER_RUN, NOT_FINITE = range(4)
 ANY = -1
 """Index of a neighbour that is found by the header of the message."""
 
-ADDRESS: Any = numba.types.intp
 copy: Any = numba.types.ExternalFunction("memcpy", ADDRESS(ADDRESS, ADDRESS, ADDRESS))
 """The C function, for messages, which are not aligned."""
-
-
-@numba.extending.intrinsic
-def pointer(_: Any, address: Any) -> Any:
-    """Convert a number to an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], numba.core.cgutils.voidptr_t)
-
-    return numba.types.voidptr(address), generate
 
 
 @kernel

@@ -16,7 +16,7 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.recording.machine import Machine
-from flock_sim.recording.own_parts import link_model_records
+from flock_sim.recording.own_parts import law_digests, own_records, recorded_parts
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
@@ -34,15 +34,16 @@ _FREE_RECORD, _FACTOR = "free", "real_time_factor"  # the additional record of a
 def records(configuration: FlockConfiguration, factor: float) -> dict[str, dict[str, str]]:
     """Return the metadata records of a bag; `factor` is the real-time factor of a free flight.
 
-    The configuration has the version of Flock that flew it. Without entries, its key `links` is
-    left out, so that such bags keep their original form. Link models of the user's program have a
-    record each.
+    The configuration has the version of Flock that flew it. Without entries, its keys `links` and
+    `forcing` are left out, so that such bags keep their original form. Laws and link models of the
+    user's own have a record each.
     """
     values: dict[str, Any] = {**configuration.parameters(), "flock_version": __version__}
-    if not configuration.links:
-        del values["links"]
+    for key in ("links", "forcing"):
+        if not values[key]:
+            del values[key]
     found = {CONFIGURATION_RECORD: {key: json.dumps(value) for key, value in values.items()}}
-    found |= link_model_records(configuration)
+    found |= own_records(configuration)
     return found | ({_FREE_RECORD: {_FACTOR: json.dumps(factor)}} if factor else {})
 
 
@@ -103,10 +104,12 @@ def check_grants(bag: BagReader, configuration: FlockConfiguration, factor: floa
     No CRC covers the configuration in a bag that was cut short. Messages in damaged chunks are
     skipped.
     """
+    laws = law_digests(recorded_parts(bag.records))
     for topic, _, data in bag.salvage([]):
         if topic == topics.GRANT_TOPIC:
             try:
-                check_handshake("the bag", configuration, messages.Grant.decode(data).terms, factor)
+                terms = messages.Grant.decode(data).terms
+                check_handshake("the bag", configuration, terms, factor, laws)
             except ValueError:
                 continue
             except FlockError as error:

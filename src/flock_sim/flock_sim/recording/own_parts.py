@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parts of a flight that are not in Flock: link models and birds of the user's own program.
+"""The parts of a flight that are not in Flock: laws, link models and birds of the user's own.
 
-A bag contains their names only, so a flight with such parts is not determined by its bag.
+A bag contains their names only, and the digests of laws, so a flight with such parts is not
+determined by its bag.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.forcing.registry import BUILT_IN as FORCING
+from flock_sim.forcing.registry import digests_of
 from flock_sim.links.registry import BUILT_IN, MODELS
 from flock_sim.links.settings import parted
 
 if TYPE_CHECKING:
     from flock_sim.bag.writing.writer import BagWriter
 
-LINK_MODEL, BIRD = "link model", "bird"
+LAW, LINK_MODEL, BIRD = "law", "link model", "bird"
 """The kinds of own parts."""
 
-_RECORDS = {LINK_MODEL: "own_link_model_{}", BIRD: "own_bird_{}"}
+_RECORDS = {LAW: "own_law_{}", LINK_MODEL: "own_link_model_{}", BIRD: "own_bird_{}"}
 """The metadata records of the first, second, ... part of each kind."""
 
 _NOTE = "This part was flown, but Flock does not contain it, and this bag has only its name."
@@ -28,13 +31,22 @@ _NOTE = "This part was flown, but Flock does not contain it, and this bag has on
 
 @dataclass(frozen=True)
 class OwnPart:
-    """A link model, or the class of birds (or of their protocol or control), by its name."""
+    """A law, a link model, or the class of birds or of their protocol, by its name."""
 
     kind: str
     name: str
+    digest: str = ""
+    """The digest of the source of a law; "" if it is not known."""
 
     def __str__(self) -> str:
         return f"{self.kind} {self.name}"
+
+
+def own_laws(configuration: FlockConfiguration) -> list[OwnPart]:
+    """Return the laws in `configuration` that are not Flock's; their digests if they are loaded."""
+    names = [name for name in configuration.forcing_table.names if name not in FORCING]
+    digests = digests_of(names)
+    return [OwnPart(LAW, name, digests.get(name, "")) for name in names]
 
 
 def own_link_models(configuration: FlockConfiguration) -> list[OwnPart]:
@@ -52,9 +64,9 @@ def unknown_link_models(links: Iterable[str]) -> list[str]:
     ]
 
 
-def link_model_records(configuration: FlockConfiguration) -> dict[str, dict[str, str]]:
-    """Return the metadata records of the link models that this process has registered."""
-    return _records(own_link_models(configuration), 1)
+def own_records(configuration: FlockConfiguration) -> dict[str, dict[str, str]]:
+    """Return the metadata records of the laws and of the registered link models of a flight."""
+    return _records(own_laws(configuration), 1) | _records(own_link_models(configuration), 1)
 
 
 def add_birds(bag: BagWriter, parts: Iterable[OwnPart]) -> None:
@@ -75,7 +87,7 @@ def recorded_parts(records: Mapping[str, Mapping[str, str]]) -> list[OwnPart]:
     for kind, name in _RECORDS.items():
         number = 1
         while (record := records.get(name.format(number))) is not None:
-            found.append(OwnPart(kind, record.get("name", "?")))
+            found.append(OwnPart(kind, record.get("name", "?"), record.get("digest", "")))
             number += 1
     return found
 
@@ -83,9 +95,18 @@ def recorded_parts(records: Mapping[str, Mapping[str, str]]) -> list[OwnPart]:
 def _records(parts: Sequence[OwnPart], first: int) -> dict[str, dict[str, str]]:
     """Return the metadata records of `parts` of one kind, numbered from `first`."""
     return {
-        _RECORDS[part.kind].format(number): {"name": part.name, "note": _NOTE}
+        _RECORDS[part.kind].format(number): {
+            "name": part.name,
+            **({"digest": part.digest} if part.digest else {}),
+            "note": _NOTE,
+        }
         for number, part in enumerate(parts, first)
     }
+
+
+def law_digests(parts: Iterable[OwnPart]) -> dict[str, str]:
+    """Return the digest of each law among `parts`, by its name."""
+    return {part.name: part.digest for part in parts if part.kind == LAW}
 
 
 def names(parts: Sequence[OwnPart], kind: str) -> str:
@@ -98,4 +119,4 @@ def lacking(parts: Sequence[OwnPart]) -> str:
     if not parts:
         return ""
     listed = ", ".join(map(str, parts))
-    return f"flown with {listed}: not a part of Flock, and the bag contains only the name"
+    return f"flown with {listed}: not a part of Flock, and the bag does not contain it"

@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.state_layout import Layout, layout_of
 from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time
 from flock_sim.physics.runge_kutta import STAGES
 
@@ -75,8 +77,9 @@ class RowAssembler:
         remembers = configuration.link_table.remembers
         self._remember = [bird for bird in self._birds if not (free or played) and remembers(bird)]
         self._tell_ages = len(self._birds) if free else 0
-        self._lengths = State.lengths(configuration.members)
-        self._members = {configuration.members}
+        self._members = configuration.members
+        # A played flight may have laws that this process does not have.
+        self._numbers = None if played else configuration.forcing_table.states
         self._run = (0, 0)  # run id and epoch that are recorded
         self._next = 0 if saved < 0 else saved + self._every
         self._last = self._last_due(configuration.steps)
@@ -143,7 +146,8 @@ class RowAssembler:
 
     def add_state(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
-        if len(data) != self._lengths.size or set(self._lengths.unpack(data)) != self._members:
+        layout = layout_of(data)
+        if layout is None or layout.members != self._members or not self._fits(layout):
             return self._ignore(MISSHAPEN)
         run = State.envelope(data)
         if run != self._run:
@@ -189,6 +193,13 @@ class RowAssembler:
             return self._ignore(REPEATED) if row <= self._last else []
         self._rows[row].stages[STAGES * step + stage, bird] = data
         return self._complete()
+
+    def _fits(self, layout: Layout) -> bool:
+        """Whether a state has all arrays, and as many numbers of forcing as the flight."""
+        if layout.arrays != len(ARRAYS) or layout.forcing is None:
+            return False
+        numbers, rest = divmod(layout.forcing, self._members)
+        return not rest and self._numbers in (None, numbers)
 
     def _last_due(self, end: int) -> int:
         return end - end % self._every

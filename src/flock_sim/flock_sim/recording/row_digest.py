@@ -11,8 +11,9 @@ from flock_sim.analysis.state_digest import StateDigest
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.state_layout import fields_of, has_means
-from flock_sim.messages.types import ARRAYS, STATE_STEP_AT, VALUES, State
+from flock_sim.messages.state import STATE_STEP_AT, VALUES
+from flock_sim.messages.state_layout import fields_of, layout_of, members_of
+from flock_sim.messages.types import State
 
 Message = tuple[str, int, bytes]
 """Topic, log time in ns, serialised data."""
@@ -34,10 +35,7 @@ class RowDigest:
         self._digest = StateDigest()
         self._hashed = 0  # rows
         self._waiting: list[bytes] = []  # states of whole rows that are not hashed yet
-        # Of a state, in bytes: with means, or without them as in bags of earlier versions.
-        counts = len(ARRAYS), len(VALUES)
-        self._sizes = [State.lengths(self._members, count).size for count in counts]
-        self._most = max(1, BATCH // self._sizes[0])
+        self._most = max(1, BATCH // State.lengths(self._members).size)
         self._bird_of = {topics.state_topic(bird): bird for bird in birds}
 
     def add(self, states: Sequence[bytes]) -> None:
@@ -52,7 +50,7 @@ class RowDigest:
         row_step = b""
         for message in messages:
             bird, data = self._bird_of.get(message[0]), message[2]
-            if bird is not None and len(data) in self._sizes:
+            if bird is not None and members_of(data) == self._members:
                 step = data[STATE_STEP_AT : STATE_STEP_AT + 8]
                 if step != row_step:
                     row.clear()
@@ -83,10 +81,10 @@ class RowDigest:
         """Hash the rows that wait; all are left out if a state is not in Flock's layout."""
         states, self._waiting = self._waiting, []
         block = b"".join(states)
-        size = len(states[0]) if states else 0
-        if size in self._sizes and len(block) == size * len(states):
-            with_means = has_means(states[0], self._members)
-            step, time, values = fields_of(block, self._members, with_means)
+        layout = layout_of(states[0]) if states else None
+        alike = layout is not None and all(len(state) == layout.size for state in states)
+        if layout and alike and layout.members == self._members:
+            step, time, values = fields_of(block, layout)
             values = values[:, : len(VALUES)]
             first = slice(None, None, self._birds)  # the state of bird 1 has step and time
             rows = values.reshape(-1, self._birds, *values.shape[1:]).swapaxes(1, 2)

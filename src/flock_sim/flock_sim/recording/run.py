@@ -24,8 +24,8 @@ from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import in_order
+from flock_sim.messages.state import VALUES
 from flock_sim.messages.state_layout import members_of, steps_of, values_of
-from flock_sim.messages.types import VALUES
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
@@ -40,6 +40,7 @@ from flock_sim.recording.flight_bag import (
 from flock_sim.recording.machine import Machine
 from flock_sim.recording.own_parts import (
     OwnPart,
+    own_laws,
     own_link_models,
     recorded_parts,
     unknown_link_models,
@@ -148,7 +149,9 @@ class Run:
     def own_parts(self) -> list[OwnPart]:
         """The parts of the flight that are not in Flock, and of which the bag has only names."""
         recorded = recorded_parts(self.bag.records)
-        return list(dict.fromkeys([*recorded, *own_link_models(self.configuration)]))
+        known = {(part.kind, part.name) for part in recorded}
+        named = [*own_laws(self.configuration), *own_link_models(self.configuration)]
+        return [*recorded, *(part for part in named if (part.kind, part.name) not in known)]
 
     @property
     def machines(self) -> list[Machine]:

@@ -8,6 +8,8 @@ from functools import cache
 
 import numpy as np
 
+from flock_sim.forcing import frame
+from flock_sim.forcing.stage import compute_force
 from flock_sim.links.channel import Hear, hear
 from flock_sim.links.link_table import SOURCE, TARGET
 from flock_sim.physics.arrays import FloatArray, IntArray
@@ -77,16 +79,18 @@ def add_forces_over_links(
     speed: FloatArray,
     circulation: FloatArray,
     interactions: FloatArray,
+    known: FloatArray,
     drag: FloatArray,
 ) -> None:
     """Add to `drag`, at `tick`, what each target computes from its link, and update the memory.
 
     `links`, `faults` and `memory` are those of a Plan, `interactions` is the interaction array of
-    its links. The others have shape (birds, members).
+    its links. `known` (links, 3, members) is filled with the position, speed and circulation that
+    each target has of its source. The others have shape (birds, members).
     """
     members = position.shape[1]
-    known_position, known_circulation = np.empty(members), np.empty(members)
     for k in range(links.shape[0]):
+        known_position, known_circulation = known[k, 0], known[k, 2]
         i, j = links[k, SOURCE] - 1, links[k, TARGET] - 1
         first = k * members
         hear(
@@ -101,6 +105,7 @@ def add_forces_over_links(
             position[j],
             memory,
             known_position,
+            known[k, 1],
             known_circulation,
         )
         for m in range(members):
@@ -124,12 +129,13 @@ def forces(
     faults: FloatArray,
     memory: FloatArray,
     interactions: FloatArray,
+    known: FloatArray,
     position: FloatArray,
     speed: FloatArray,
     circulation: FloatArray,
     drag: FloatArray,
 ) -> None:
-    """Fill `circulation` and `drag`, both (birds, members), at `tick`.
+    """Fill `circulation` and `drag`, both (birds, members), and `known`, at `tick`.
 
     The birds of `pairs` have each other's present values, others what `links` transmit: one of the
     two is empty, and `interactions` are those of the other. `coefficients` has shape
@@ -148,6 +154,7 @@ def forces(
             speed,
             circulation,
             interactions,
+            known,
             drag,
         )
     else:
@@ -188,13 +195,18 @@ def advance(
     faults: FloatArray,
     memory: FloatArray,
     interactions: FloatArray,
+    known: FloatArray,
+    forcing: IntArray,
     sums: FloatArray,
     recorded: FloatArray,
-) -> None:
+    forcing_states: FloatArray,
+) -> int:
     """Take the steps from `first` to below `until` in place, recording multiples of `every`.
 
-    `sums`, shape (2, birds * members), are those of `sum_up`; `recorded` has shape
-    (records, 6, birds, members); the others are as in `forces`.
+    `forcing` (birds, words) are the words of the forcing of all birds, without birds if there is
+    none. `sums`, shape (2, birds * members), are those of `sum_up`; `recorded` has shape
+    (records, 6, birds, members), and `forcing_states` (records, birds, numbers, members); the
+    others are as in `forces`. Returns the step in which a law has failed, or -1.
     """
     position_now, speed_now = position.copy(), speed.copy()
     circulation, drag = np.empty_like(speed), np.empty_like(speed)
@@ -215,6 +227,7 @@ def advance(
                 faults,
                 memory,
                 interactions,
+                known,
                 position_now,
                 speed_now,
                 circulation,
@@ -226,14 +239,77 @@ def advance(
                     averaged = every if step else 1
                     row = recorded[records].reshape(RECORDED, -1)
                     record(*start, *present, sums, averaged, row)
+                    for i in range(forcing.shape[0]):
+                        forcing_states[records, i] = frame.matrix(
+                            forcing[i, frame.START],
+                            forcing_states.shape[2],
+                            forcing_states.shape[3],
+                        )
                     records += 1
+            if forcing.shape[0] > 0 and not add_forcing(
+                STAGES * step + stage,
+                dt,
+                coefficients,
+                links,
+                known,
+                forcing,
+                position_now,
+                speed_now,
+                circulation,
+            ):
+                return step
             move(stage, dt, coefficients, present[1], *start, slopes[0], slopes[1], *now)
         for i in range(speed.size):
             start[0][i], start[1][i] = now[0][i], now[1][i]
+    return -1
+
+
+@kernel
+def add_forcing(
+    tick: int,
+    dt: float,
+    coefficients: FloatArray,
+    links: IntArray,
+    known: FloatArray,
+    forcing: IntArray,
+    position: FloatArray,
+    speed: FloatArray,
+    circulation: FloatArray,
+) -> bool:
+    """Set the thrust in `coefficients` of all birds to that without forcing plus their forces.
+
+    The arguments are as in `advance`. Returns whether all laws are sound.
+    """
+    members = position.shape[1]
+    for i in range(forcing.shape[0]):
+        words = forcing[i]
+        now = frame.matrix(words[frame.NOW], 3, members)
+        count = words[frame.NEIGHBOURS]
+        near = frame.matrix(words[frame.NEAR], 3 * members, count)
+        number = frame.numbers(words[frame.NUMBER], count)
+        for m in range(members):
+            now[0, m], now[1, m], now[2, m] = position[i, m], speed[i, m], circulation[i, m]
+        if words[frame.LOOKS]:
+            for k in range(count):
+                j, link = number[k] - 1, words[frame.FIRST_LINK] + k
+                for m in range(members):
+                    if links.shape[0] > 0:
+                        for row in range(3):
+                            near[row * members + m, k] = known[link, row, m]
+                    else:
+                        near[m, k], near[members + m, k] = position[j, m], speed[j, m]
+                        near[2 * members + m, k] = circulation[j, m]
+        if not compute_force(words, tick, dt):
+            return False
+        thrust = frame.matrix(words[frame.OWN], frame.OWN_ROWS, members)[frame.THRUST]
+        force = frame.vector(words[frame.FORCE], members)
+        for m in range(members):
+            coefficients[frame.THRUST, i * members + m] = thrust[m] + force[m]
+    return True
 
 
 @cache
-def flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., None]]:
+def flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., int]]:
     """Return `forces` and `advance` for `heard`, which is `hear` or the result of `hearing`."""
     if heard is hear:
         return forces, advance

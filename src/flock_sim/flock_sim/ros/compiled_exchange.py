@@ -19,19 +19,21 @@ import numpy as np
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from flock_sim.forcing.frame import FAULT
 from flock_sim.messages.stage_layout import WORD
 from flock_sim.physics.arrays import IntArray
-from flock_sim.physics.compile import kernel
+from flock_sim.physics.compile import ADDRESS, kernel, pointer
 from flock_sim.physics.compiler import numba
 from flock_sim.physics.stage_kernels import ROWS, elements
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.bird_kernel import OWN_ROWS, WORK_ROWS, feel_and_move
 from flock_sim.protocol.stage_words import (
-    ADDRESS,
     EACH,
     END,
     EVERY,
     FIRST,
+    FORCING,
+    FORCING_WORDS,
     FOREIGN,
     HEARD,
     HERE,
@@ -51,15 +53,15 @@ from flock_sim.protocol.stage_words import (
     TICK,
     WORK,
     accept,
-    pointer,
     row,
     say,
     turn,
 )
 
-WAITS, OVER, STRANGE, FAILED, UNSENT = range(5)
+WAITS, OVER, STRANGE, FAILED, UNSENT, FAULTY = range(6)
 """Outcomes of an exchange: a message is lacking; the fast path is over; a message needs the
-protocol; rcl could not take a message; rcl could not send the last message."""
+protocol; rcl could not take a message; rcl could not send the last message; a law of the forcing
+has failed."""
 
 NONE_CAME = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 ROOM = 512  # initial size of the buffer for a message, in bytes
@@ -111,6 +113,7 @@ def exchange(words: IntArray, dt: float, thorough: bool) -> int:
     heard = numba.carray(pointer(words[HEARD]), (2, count, width), np.float64)
     mine = numba.carray(pointer(words[MINE]), (2, width), np.float64)
     work = numba.carray(pointer(words[WORK]), (WORK_ROWS, members), np.float64)
+    forcing = numba.carray(pointer(words[FORCING]), words[FORCING_WORDS], np.int64)
     while words[TICK] < words[END]:
         for k in range(count):
             outcome = _hear(words, k, thorough)
@@ -118,7 +121,9 @@ def exchange(words: IntArray, dt: float, thorough: bool) -> int:
                 return outcome
         if words[LACKING + words[SIDE]]:
             return WAITS
-        feel_and_move(words[TICK], dt, words[EVERY], own, interactions, heard, mine, work)
+        feel_and_move(words[TICK], dt, words[EVERY], own, interactions, heard, mine, work, forcing)
+        if forcing.shape[0] > 0 and forcing[FAULT]:
+            return FAULTY
         words[TICK] += 1
         turn(words, words[TICK] + 1)
         say(words)
@@ -180,7 +185,7 @@ class CompiledExchange:
         self._words[FIRST + SUBSCRIPTION :: EACH] = [inlet.handle.pointer for inlet in inlets]
 
     def go_on(self) -> int:
-        """Exchange stages while their messages are here; return the outcome: WAITS to UNSENT."""
+        """Exchange stages while their messages are here; return the outcome: WAITS to FAULTY."""
         return exchange(self._words, self._dt, False)
 
     def look_through(self) -> int:

@@ -62,14 +62,14 @@ def what_is_given(
     sections = Sections({}) if SUPERVISED in os.environ else parameter_file.sections(*files)
     common = flown, operation = parted(base)
     if not sections.named:
-        return FlockConfiguration.from_parameters(flown), {**DEFAULTS, **operation}
+        return FlockConfiguration.given(flown), {**DEFAULTS, **operation}
     birds = _birds(name, operation, sections)
     nodes = [topics.bird_name(bird) for bird in birds] or [name]
     if reader.get_name() != _reader_name(name):
         nodes = [reader.get_name()]  # a remapping rule of ROS renames the node too
     full = [f"{reader.get_namespace().rstrip('/')}/{node}" for node in nodes]
     found = [resolved(sections, node, common, given) for node in full]
-    configuration = FlockConfiguration.from_parameters(found[0][0])
+    configuration = FlockConfiguration.given(found[0][0])
     for node, (flown, _) in zip(full, found, strict=True):
         check_same(configuration, flown, node, sections)
     told = {node: operation for node, (_, operation) in zip(full, found, strict=True)}

@@ -50,7 +50,7 @@ def check_same(
     configuration: FlockConfiguration, flown: Mapping[str, Any], node: str, sections: Sections
 ) -> None:
     """Raise FlockError, with the key, if the node of this full name flies another flock."""
-    theirs = FlockConfiguration.from_parameters(flown).parameters()
+    theirs = FlockConfiguration.given(flown).parameters()
     for key, value in configuration.parameters().items():
         if theirs[key] != value:
             where = sections.origin(node, key)
@@ -102,7 +102,7 @@ def of_flight(path: Path, options: Mapping[str, Any]) -> FlightParameters:
     sections = parameter_file.sections(path)
     common = parted({**sections.common, **options})
     flown, operation = resolved(sections, full_name(CLOCK), common, options)
-    configuration = FlockConfiguration.from_parameters(flown)
+    configuration = FlockConfiguration.given(flown)
     nodes = [topics.RECORDER, *map(topics.bird_name, range(1, configuration.birds + 1))]
     found = {CLOCK: operation}
     for node in nodes:

@@ -14,7 +14,8 @@ import numpy as np
 from flock_sim.analysis.metrics import plain
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.types import MEANS, VALUES, Grant, State, Wing
+from flock_sim.messages.state import MEANS, VALUES
+from flock_sim.messages.types import Grant, State, Wing
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState

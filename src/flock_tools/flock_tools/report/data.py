@@ -262,6 +262,8 @@ def theory(run: Run, metrics: Metrics) -> Theory:
     note = ""
     if not configuration.link_table.plain:
         note = "The theory assumes links that are exact. The links of this run are not."
+    if configuration.forcing:
+        note = f"{note} The theory has no forces besides thrust and drag. This run has.".strip()
     if birds := names(run.own_parts, BIRD):
         note = f"{note} The theory assumes birds of Flock's. This run has birds of {birds}.".strip()
     return Theory(assessment, note, linear)

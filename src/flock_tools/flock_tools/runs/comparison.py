@@ -16,9 +16,11 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
-from flock_sim.messages.state_layout import members_of, same_head, step_of, steps_of, values_of
-from flock_sim.messages.types import ARRAYS, BILLION, MEANS, VALUES, State
+from flock_sim.messages.state import ARRAYS, MEANS, VALUES
+from flock_sim.messages.state_layout import layout_of, same_head, step_of, steps_of, values_of
+from flock_sim.messages.types import BILLION, State
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.recording.own_parts import law_digests
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
 from flock_tools.runs.pairing import Ticks, by_step, pairs
@@ -175,7 +177,8 @@ class _States:
 
     def compare(self, topic: str, left: bytes, right: bytes) -> None:
         """Compare two states of one bird at one step. Raises FlockError if one is no state."""
-        members = members_of(left)
+        layout = layout_of(left)
+        members = layout.members if layout and not layout.forcing else 0
         if members and len(left) == len(right) and same_head(left, right):
             if members != self._members or len(self._block) == BLOCK:
                 self.finish()
@@ -218,7 +221,7 @@ class _States:
 
     def _unlike_arrays(self, one: State, other: State) -> Iterator[Unlike]:
         """Yield the first difference of each array of two states."""
-        for name in self._names:
+        for name in (*self._names, "forcing_state"):
             first, second = getattr(one, name), getattr(other, name)
             if name in MEANS and 0 in (len(first), len(second)):
                 continue  # one was recorded by a version without means
@@ -226,7 +229,8 @@ class _States:
                 yield name, None, (first.tolist(), second.tolist())
                 continue
             for m in np.flatnonzero(self._apart(name, first, second))[:1]:
-                yield name, int(m) + 1, (float(first[m]), float(second[m]))
+                member = int(m) % len(one.position) + 1
+                yield name, member, (float(first[m]), float(second[m]))
 
     def _apart(self, name: str, first: FloatArray, second: FloatArray) -> npt.NDArray[np.bool_]:
         """Return where two arrays differ. Updates the largest difference."""
@@ -291,6 +295,10 @@ def _configurations(first: Run, second: Run) -> Iterator[Difference]:
         yield Difference("configuration", pushes, "perturbations")
     if links[0] != links[1] and not _same_links(one, other):
         yield Difference("configuration", links, "links")
+    laws, other_laws = law_digests(first.own_parts), law_digests(second.own_parts)
+    for name in sorted(laws.keys() & other_laws.keys()):
+        if laws[name] != other_laws[name]:
+            yield Difference("configuration", (laws[name], other_laws[name]), f"law {name}")
 
 
 def _same_links(one: FlockConfiguration, other: FlockConfiguration) -> bool:

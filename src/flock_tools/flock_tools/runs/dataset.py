@@ -13,8 +13,8 @@ import xarray as xr
 from flock_sim.configuration.flock_configuration import LISTS
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
-from flock_sim.messages.state_layout import members_of, steps_of, values_of
-from flock_sim.messages.types import ARRAYS
+from flock_sim.messages.state import ARRAYS
+from flock_sim.messages.state_layout import forcing_states_of, members_of, steps_of, values_of
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
@@ -37,6 +37,8 @@ ATTRIBUTES = {
         "<sum_j D_ji>",
         "rho b^2 U_min^2",
     ),
+    "forcing_state": ("state of the laws that act on the bird", "", "1"),
+    "state_number": ("number of a law's state", "", "1"),
     "span_ratio": ("wing span over that of the standard bird", "lambda_i", "1"),
     "lateral": ("lateral position of the wing's centre, from the leader", "y_i", "b"),
 }
@@ -54,7 +56,8 @@ def load(
     `position`, `speed`, `circulation`, `interaction_drag`, and the means `mean_speed` and
     `mean_interaction_drag` over all steps since the recorded state before (nan in bags of versions
     that did not record them) have dims (time, bird, member),
-    `span_ratio` and `lateral` (bird, member), the coordinate `step` (time); all dimensionless, with
+    `span_ratio` and `lateral` (bird, member), `forcing_state`, if laws with a state act on birds,
+    (time, bird, state_number, member), the coordinate `step` (time); all dimensionless, with
     `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
     the configuration, the leader and the unit of time in s. A truncated bag also has `missing`; its
     last time is the last one that all birds have.
@@ -90,7 +93,7 @@ def read(
         )
     rows = range(first, last + 1, stride)
     times = [configuration.time(row * every) for row in rows]
-    values = _values(run, rows)
+    values, forcing_states = _values(run, rows)
     ratio = configuration.span_ratio
     dims = ("time", "bird", "member")
     dataset = xr.Dataset(
@@ -107,19 +110,29 @@ def read(
         },
         _attributes(run),
     )
+    if numbers := forcing_states.shape[2]:
+        dataset["forcing_state"] = ("time", "bird", "state_number", "member"), forcing_states
+        dataset = dataset.assign_coords(state_number=np.arange(1, numbers + 1))
     for name, (long_name, symbol, units) in ATTRIBUTES.items():
+        if name not in dataset.variables:
+            continue  # of a flight without forcing
         dataset[name].attrs = {"long_name": long_name, "units": units}
         if symbol:
             dataset[name].attrs["symbol"] = symbol
     return dataset
 
 
-def _values(run: Run, rows: range) -> FloatArray:
-    """Return the values of `rows`, shape (6, rows, birds, members); nan if not recorded."""
+def _values(run: Run, rows: range) -> tuple[FloatArray, FloatArray]:
+    """Return the values and the forcing states of `rows`; nan if not recorded.
+
+    Their shapes are (6, rows, birds, members) and (rows, birds, numbers, members).
+    """
     configuration = run.configuration
     birds = range(1, configuration.birds + 1)
     column = {topics.state_topic(bird): bird - 1 for bird in birds}
     values = np.full((len(ARRAYS), len(rows), len(birds), configuration.members), np.nan)
+    numbers = run.at().forcing_state.shape[1]
+    forcing = np.full((len(rows), len(birds), numbers, configuration.members), np.nan)
     states: list[bytes] = []
     birds_of_states: list[int] = []
 
@@ -128,7 +141,11 @@ def _values(run: Run, rows: range) -> FloatArray:
         row, off = np.divmod(row - rows.start, rows.step)
         due = (rest == 0) & (off == 0) & (row >= 0) & (row < len(rows))
         arrays = values_of(states, configuration.members)[due]
-        values[:, row[due], np.array(birds_of_states)[due]] = arrays.swapaxes(0, 1)
+        bird = np.array(birds_of_states)[due]
+        values[:, row[due], bird] = arrays.swapaxes(0, 1)
+        if numbers:
+            found = forcing_states_of(states, numbers, configuration.members)
+            forcing[row[due], bird] = found[due]
         states.clear()
         birds_of_states.clear()
 
@@ -146,7 +163,7 @@ def _values(run: Run, rows: range) -> FloatArray:
             place()
     if states:
         place()
-    return values
+    return values, forcing
 
 
 def _attributes(run: Run) -> dict[str, Any]:

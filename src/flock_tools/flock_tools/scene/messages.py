@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from flock_sim.messages.cdr import ENCAPSULATION, align, put
-from flock_sim.messages.types import FRAME
+from flock_sim.messages.state import FRAME
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.scene.shapes import Kind, Scene, Shape
 from flock_tools.scene.snapshot import Snapshot

@@ -15,6 +15,7 @@ from flock_sim.configuration import flock_configuration
 from flock_sim.configuration.flock_configuration import LISTS
 from flock_sim.configuration.key import number_of
 from flock_sim.errors import FlockError, nearest
+from flock_sim.forcing.registry import BUILT_IN
 from flock_sim.links.keys import NUMBERS
 from flock_tools.experiments.sweep.members import Member
 
@@ -43,11 +44,15 @@ LINK_KEYS = {
 STARTS = {"position": ("b", "{value},0"), "speed": ("U_min", "0,{value}")}
 """Quantities of a bird that a perturbation can change at the start: unit, and perturbation."""
 
-KNOWN = ("span_ratio[I]", "position[I]", "speed[I]", "link.KEY", "link[I->J].KEY", *KEYS)
+KNOWN = (
+    *("span_ratio[I]", "position[I]", "speed[I]", "link.KEY", "link[I->J].KEY"),
+    *("forcing.LAW.KEY", "forcing[I].LAW.KEY", *KEYS),
+)
 
 _RATIO = re.compile(r"span_ratio\[(\d+)\]|lambda_(\d+)")
 _START = re.compile(r"(position|speed)\[(\d+)\]")
 _LINK = re.compile(r"link(?:\[(\d+)->(\d+)\])?\.(\w+)")
+_FORCING = re.compile(r"forcing(?:\[(\d+)\])?\.(\w+)\.(\w+)")
 
 Value = float | str
 
@@ -74,7 +79,7 @@ def axis(name: str, given: Any) -> Axis:
     Raises FlockError, which names the remedy.
     """
     called = f"axis {name!r}"
-    found = _ratio(name) or _start(name) or _link(name) or _key(name)
+    found = _ratio(name) or _start(name) or _link(name) or _forcing(name) or _key(name)
     if found is None:
         if name in COMMON:
             raise FlockError(f"{called}: must be the same for all members; give it below `flock:`")
@@ -140,6 +145,24 @@ def _link(name: str) -> Axis | None:
     long_name, units = LINK_KEYS[key]
     long_name += f" of link {birds}" if source else " of all links"
     return Axis(name, f"link_{whose}{key}", long_name, units, (), vary, bool(source))
+
+
+def _forcing(name: str) -> Axis | None:
+    match = _FORCING.fullmatch(name)
+    if not match:
+        return None
+    number, law, key = match.groups()
+    bird = str(int(number)) if number else ""
+
+    def vary(member: Member, value: Value) -> Member:
+        return member.having_forcing(bird, law, key, text(value))
+
+    whose = f"{bird}_" if bird else ""
+    model = BUILT_IN.get(law)
+    known = model.keys.get(key) if model else None
+    long_name = f"{known.meaning if known else key} of {law}" + (f", bird {bird}" if bird else "")
+    units = known.unit if known else "1"
+    return Axis(name, f"forcing_{whose}{law}_{key}", long_name, units, (), vary, bool(bird))
 
 
 def _key(name: str) -> Axis | None:

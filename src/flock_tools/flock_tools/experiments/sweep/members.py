@@ -5,14 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from flock_sim.configuration import span_ratios
 from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.forcing import settings as forcing_text
 from flock_sim.links import settings
-from flock_sim.links.keys import INTERVAL, SEPARATOR
+from flock_sim.links.keys import INTERVAL
 from flock_sim.links.registry import MODELS
+from flock_sim.model_text import SEPARATOR
 
 MOST_RECORDS = 200
 """Largest number of recorded rows after the start of a flight. A kill loses only a part of a
@@ -20,13 +22,50 @@ flight, a verdict can be given, and bags stay small."""
 
 
 @dataclass(frozen=True)
-class Link:
-    """A parsed entry of the key `links`."""
+class Entry:
+    """A parsed entry of the key `links` or `forcing`."""
 
     birds: str
-    """SOURCE->TARGET in its shortest form, or empty for all links."""
+    """SOURCE->TARGET or BIRD in its shortest form, or empty for all links or birds."""
     model: str
     values: Mapping[str, str]
+
+    def having(self, key: str, value: str) -> Self:
+        """Return this entry with `key` set to another value."""
+        return replace(self, values={**self.values, key: value})
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What members that fly in the same messages have in common."""
+        return self.birds, self.model, *self.values
+
+    def __str__(self) -> str:
+        values = ",".join(f"{key}={value}" for key, value in self.values.items())
+        return (
+            (f"{self.birds}=" if self.birds else "") + self.model + (f":{values}" if values else "")
+        )
+
+
+@dataclass(frozen=True)
+class Force(Entry):
+    """A parsed entry of the key `forcing`."""
+
+    @classmethod
+    def read(cls, entry: str) -> Force:
+        """Return the parts of a valid entry of `forcing`."""
+        found = forcing_text.read(entry)
+        bird = "" if found.bird is None else str(found.bird)
+        return cls(bird, found.name, dict(found.items))
+
+    @property
+    def law(self) -> str:
+        """The name of its model without its file."""
+        return self.model.rpartition(":")[2]
+
+
+@dataclass(frozen=True)
+class Link(Entry):
+    """A parsed entry of the key `links`."""
 
     @classmethod
     def read(cls, entry: str) -> Link:
@@ -37,15 +76,12 @@ class Link:
 
     def having(self, key: str, value: str) -> Link:
         """Return this link with `key`, or its model, set to another value."""
-        if key == "model":
-            return replace(self, model=value)
-        return replace(self, values={**self.values, key: value})
+        return replace(self, model=value) if key == "model" else super().having(key, value)
 
-    def __str__(self) -> str:
-        values = ",".join(f"{key}={value}" for key, value in self.values.items())
-        return (
-            (f"{self.birds}=" if self.birds else "") + self.model + (f":{values}" if values else "")
-        )
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What members that fly in the same messages have in common: the interval, too."""
+        return *super().kind, self.values.get(INTERVAL)
 
 
 @dataclass(frozen=True)
@@ -58,6 +94,8 @@ class Member:
     """Span ratios by bird."""
     links: tuple[Link, ...]
     """At most one entry per link. An entry for all links is the first."""
+    forcing: tuple[Force, ...]
+    """In the order of the configuration."""
     pushes: tuple[tuple[int, str], ...]
     """For each perturbation: the bird, and the text from the @ on."""
 
@@ -72,6 +110,7 @@ class Member:
             {key: value for key, value in parameters.items() if key not in LISTS},
             dict(map(span_ratios.parted, configuration.span_ratios)),
             tuple(sorted(links.values(), key=lambda link: link.birds != "")),
+            tuple(map(Force.read, configuration.forcing)),
             tuple((push.bird, "@" + str(push).partition("@")[2]) for push in configuration.pushes),
         )
 
@@ -87,6 +126,17 @@ class Member:
             links = {whose: link.having(key, value) for whose, link in links.items()}
         return replace(self, links=tuple(links.values()))
 
+    def having_forcing(self, bird: str, law: str, key: str, value: str) -> Member:
+        """Return this flock with `key` set in the entries of a law, for `bird` if not empty."""
+        changed = tuple(
+            one.having(key, value) if one.law == law and bird in ("", one.birds) else one
+            for one in self.forcing
+        )
+        if changed == self.forcing and not any(one.law == law for one in self.forcing):
+            of = f" of bird {bird}" if bird else ""
+            raise FlockError(f"no entry of `forcing` has the law {law!r}{of}: add one to `flock:`")
+        return replace(self, forcing=changed)
+
     def configuration(self) -> FlockConfiguration:
         """Return the configuration of this member alone. Raises FlockError if it can't be flown."""
         return merged([self])
@@ -94,8 +144,8 @@ class Member:
     @property
     def kind(self) -> object:
         """A key that is equal for members that can fly in the same messages."""
-        links = [(k.birds, k.model, k.values.get(INTERVAL), *k.values) for k in self.links]
-        return tuple(self.plain.items()), tuple(self.span_ratios), tuple(links)
+        entries = [one.kind for one in (*self.links, *self.forcing)]
+        return tuple(self.plain.items()), tuple(self.span_ratios), tuple(entries)
 
 
 def merged(members: Sequence[Member]) -> FlockConfiguration:
@@ -104,16 +154,12 @@ def merged(members: Sequence[Member]) -> FlockConfiguration:
     ratios = {}
     for bird in sorted({1, *first.span_ratios}):  # bird 1 always, to set the number of members
         ratios[bird] = ",".join(member.span_ratios.get(bird, "1") for member in members)
-    links = []
-    for k, link in enumerate(first.links):
-        given = {key: [member.links[k].values[key] for member in members] for key in link.values}
-        texts = {key: _once_or_all(values) for key, values in given.items()}
-        links.append(str(replace(link, values=texts)))
-    return FlockConfiguration.from_parameters(
+    return FlockConfiguration.given(
         {
             **first.plain,
             "span_ratios": [f"{bird}={values}" for bird, values in ratios.items()],
-            "links": links,
+            "links": _together([member.links for member in members]),
+            "forcing": _together([member.forcing for member in members]),
             "perturbations": list(_pushes(members)),
         }
     )
@@ -149,6 +195,15 @@ def _pushes(members: Sequence[Member]) -> Iterator[str]:
             yield f"{bird}{rest}"
         else:
             yield from (f"{bird}:{m}{rest}" for m, (bird, rest) in enumerate(pushes, start=1))
+
+
+def _together(entries: Sequence[Sequence[Entry]]) -> list[str]:
+    """Return the text of entries with the values of all members; `entries` are those of each."""
+    texts = []
+    for alike in zip(*entries, strict=True):
+        values = {key: _once_or_all([one.values[key] for one in alike]) for key in alike[0].values}
+        texts.append(str(replace(alike[0], values=values)))
+    return texts
 
 
 def _once_or_all(values: Sequence[str]) -> str:

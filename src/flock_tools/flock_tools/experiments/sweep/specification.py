@@ -128,7 +128,7 @@ def sweep(found: Any) -> Sweep:
         raise FlockError(f"`{FLOCK}:` must hold `key: value` lines, as a configuration file")
     if not isinstance(axes, Mapping) or not axes:
         raise FlockError(f"`{AXES}:` must hold one or more lines such as `span_ratio[2]: [0.9, 1]`")
-    flock = FlockConfiguration.from_parameters({str(key): value for key, value in given.items()})
+    flock = FlockConfiguration.given({str(key): value for key, value in given.items()})
     if flock.members > 1:
         raise FlockError(
             f"`{FLOCK}:` gives values for {flock.members} members: give one value of each here, "

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compilation of laws into functions that kernels call by their addresses.
+
+A law is compiled into a loop over the members of a bird, which takes the words of
+`forcing/frame.py`. The code of Flock's own laws is kept on disk, as that of kernels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from flock_sim.errors import FlockError
+from flock_sim.forcing import frame
+from flock_sim.forcing.law import GIVEN, Bird, Law, Neighbours, Signature, signature_of
+from flock_sim.physics.compile import ADDRESS, anew, kernel
+from flock_sim.physics.compiler import numba
+from flock_sim.physics.dynamics import canonical
+from flock_sim.physics.kernel_cache import PACKAGE
+from flock_sim.physics.runge_kutta import NODES, STAGES
+
+MOST_STATES = 16
+"""Most numbers of state of a law."""
+
+_LOOP: Any = numba.types.int64(ADDRESS, ADDRESS, ADDRESS, numba.types.float64)
+"""The type of a loop: (address of the words, term, tick, dt) -> 0."""
+
+matrix, numbers, vector = frame.matrix, frame.numbers, frame.vector
+
+
+@dataclass(frozen=True)
+class CompiledLaw:
+    """A law in machine code."""
+
+    address: int
+    """The address of its loop over members, which `call` calls."""
+    states: int
+    """Number of its state numbers."""
+    code: object
+    """The compiled function, which must live as long as the address is used."""
+
+
+@numba.extending.intrinsic
+def call(_: Any, address: Any, words: Any, term: Any, tick: Any, dt: Any) -> Any:
+    """Call the loop of a law by its address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        ir = numba.core.cgutils.ir
+        types = [context.get_value_type(kind) for kind in signature.args[1:]]
+        function = ir.FunctionType(context.get_value_type(signature.return_type), types)
+        return builder.call(builder.inttoptr(arguments[0], function.as_pointer()), arguments[1:])
+
+    return _LOOP.return_type(ADDRESS, *_LOOP.args), generate
+
+
+@cache
+def compiled_law(law: Law) -> CompiledLaw:
+    """Compile a law. Raises FlockError, of one line, if it can't be compiled or is no law."""
+    signature = signature_of(law)
+    plain = anew(law)
+    states = _states_of(_result_of(plain, signature))
+    ours = law.__module__.startswith(f"{PACKAGE.name}.")
+    loop: Any = _copy(_loop_with_state if states else _loop, _adapted(plain, signature))
+    loop.__qualname__ += f".{law.__module__}.{law.__qualname__}"
+    compiled: Any = (kernel if ours else anew)(loop)
+    compiled.compile(_LOOP.args)
+    result = compiled.get_compile_result(_LOOP)
+    address = result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
+    return CompiledLaw(int(address), states, compiled)
+
+
+def _adapted(law: Law, signature: Signature) -> Law:
+    """Return a law that takes all GIVEN arguments, the parameters as an array, and the member."""
+    arguments = [
+        *(f"{name}={name}" for name in signature.given),
+        *(f"{name}=parameters[{row}, m]" for row, name in enumerate(signature.parameters)),
+    ]
+    text = f"lambda {', '.join(GIVEN)}, parameters, m: law({', '.join(arguments)})"
+    adapted: Law = eval(text, {"law": law, "__name__": __name__})
+    return anew(adapted)
+
+
+def _copy(loop: Any, law: Law) -> Any:
+    """Return a loop that calls `law`."""
+    return FunctionType(loop.__code__, {**globals(), "_law": law}, loop.__name__)
+
+
+def _result_of(law: Any, signature: Signature) -> Any:
+    """Compile a law for its arguments; return the type of its result."""
+    column = np.zeros((2, 2))[:, 0]
+    examples = dict(
+        zip(
+            GIVEN,
+            (
+                Bird(1, 1, *(6 * [1.0])),
+                Neighbours(np.zeros(1, np.int64), *(4 * [np.zeros(1)])),
+                *(1.0, column, column, column),
+            ),
+            strict=True,
+        )
+    )
+    order = law.py_func.__code__.co_varnames[: law.py_func.__code__.co_argcount]
+    types = tuple(numba.typeof(examples.get(name, 1.0)) for name in order)
+    try:
+        law.compile(types)
+    except (numba.core.errors.NumbaError, TypeError) as error:
+        raise FlockError(f"numba can't compile it: {_reason(error)}") from error
+    return law.overloads[types].signature.return_type
+
+
+def _states_of(result: Any) -> int:
+    """Return the number of state numbers of a law with a type of result."""
+    types = numba.types
+    if isinstance(result, types.Number):
+        return 0
+    if (
+        isinstance(result, types.BaseTuple)
+        and len(result) == 2
+        and isinstance(result[0], types.Number)
+        and isinstance(result[1], types.BaseTuple)
+        and all(isinstance(rate, types.Number) for rate in result[1])
+    ):
+        if not 1 <= len(result[1]) <= MOST_STATES:
+            raise FlockError(
+                f"it has {len(result[1])} numbers of state: must have 1..{MOST_STATES}, or "
+                "return the force alone"
+            )
+        return len(result[1])
+    raise FlockError(
+        f"it returns {result}: must be a number, the force, or (force, (rate of state[0], ...))"
+    )
+
+
+def _reason(error: Exception) -> str:
+    """Return in one line why numba could not compile a law."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    noise = "Failed in", "During:", "-", "^", "File "
+    told = next((line for line in lines if line and not line.startswith(noise)), str(error))
+    place = next((line for line in lines if line.startswith("File ")), "")
+    return f"{told} ({place.rstrip(':')})" if place else told
+
+
+def _law(*arguments: Any) -> Any:
+    """Stand for the law of a loop."""
+    raise NotImplementedError
+
+
+def _loop(address: int, term: int, tick: int, dt: float) -> int:
+    """Add the force of a law without state to that on the bird, in each member."""
+    words = numbers(address, frame.FIRST_TERM + (term + 1) * frame.EACH)
+    at = frame.FIRST_TERM + term * frame.EACH
+    members, count = words[frame.MEMBERS], words[frame.NEIGHBOURS]
+    parameters = matrix(words[at + frame.PARAMETERS], 1 << 32, members)
+    own = matrix(words[frame.OWN], frame.OWN_ROWS, members)
+    now = matrix(words[frame.NOW], 3, members)
+    near = matrix(words[frame.NEAR], 3 * members, count)
+    lateral = matrix(words[frame.LATERAL], members, count)
+    number = numbers(words[frame.NUMBER], count)
+    noise = matrix(words[frame.NOISE] + 16 * members * words[at + frame.ORDINAL], 2, members)
+    force = vector(words[frame.FORCE], members)
+    time = (tick // STAGES + NODES[tick % STAGES]) * dt
+    try:
+        for m in range(members):
+            bird = _bird(words, own, now, m)
+            neighbours = _neighbours(number, lateral, near, members, m)
+            none = noise[:0, m]
+            added = float(_law(bird, neighbours, time, none, none, noise[:, m], parameters, m))
+            if not np.isfinite(added):
+                _note_fault(words, term, own, now, near, none, m)
+            force[m] = canonical(force[m] + added)
+    except Exception:
+        words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
+    return 0
+
+
+def _loop_with_state(address: int, term: int, tick: int, dt: float) -> int:
+    """Do the same with a law that has a state, and fill in the rates of its state."""
+    words = numbers(address, frame.FIRST_TERM + (term + 1) * frame.EACH)
+    at = frame.FIRST_TERM + term * frame.EACH
+    members, count = words[frame.MEMBERS], words[frame.NEIGHBOURS]
+    parameters = matrix(words[at + frame.PARAMETERS], 1 << 32, members)
+    own = matrix(words[frame.OWN], frame.OWN_ROWS, members)
+    now = matrix(words[frame.NOW], 3, members)
+    near = matrix(words[frame.NEAR], 3 * members, count)
+    lateral = matrix(words[frame.LATERAL], members, count)
+    number = numbers(words[frame.NUMBER], count)
+    noise = matrix(words[frame.NOISE] + 16 * members * words[at + frame.ORDINAL], 2, members)
+    force = vector(words[frame.FORCE], members)
+    time = (tick // STAGES + NODES[tick % STAGES]) * dt
+    first, rows = words[at + frame.FIRST_STATE], words[frame.STATES]
+    last = first + words[at + frame.STATES_OF_LAW]
+    state = matrix(words[frame.STATE] + 8 * (tick & 1) * rows * members, rows, members)
+    start = matrix(words[frame.START], rows, members)
+    rate = matrix(words[frame.RATE], rows, members)
+    try:
+        for m in range(members):
+            bird = _bird(words, own, now, m)
+            neighbours = _neighbours(number, lateral, near, members, m)
+            mine = state[first:last, m]
+            result = _law(
+                bird, neighbours, time, mine, start[first:last, m], noise[:, m], parameters, m
+            )
+            added = float(result[0])
+            sound = np.isfinite(added)
+            row = first
+            for slope in numba.literal_unroll(result[1]):
+                rate[row, m] = canonical(float(slope))
+                sound = sound and np.isfinite(rate[row, m])
+                row += 1
+            if not sound:
+                _note_fault(words, term, own, now, near, mine, m)
+            force[m] = canonical(force[m] + added)
+    except Exception:
+        words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
+    return 0
+
+
+@kernel
+def _bird(words: Any, own: Any, now: Any, m: int) -> Bird:
+    return Bird(
+        words[frame.BIRD],
+        words[frame.LEADER],
+        own[frame.SPAN_RATIO, m],
+        own[frame.MASS, m],
+        own[frame.THRUST, m],
+        now[frame.POSITION, m],
+        now[frame.SPEED, m],
+        now[frame.CIRCULATION, m],
+    )
+
+
+@kernel
+def _neighbours(number: Any, lateral: Any, near: Any, members: int, m: int) -> Neighbours:
+    return Neighbours(number, lateral[m], near[m], near[members + m], near[2 * members + m])
+
+
+@kernel
+def _note_fault(words: Any, term: int, own: Any, now: Any, near: Any, state: Any, m: int) -> None:
+    """Note that the result of a law of one's own is not finite, if all that it was given is.
+
+    A member that diverges must not end the flight of the others. That Flock's own laws overflow is
+    such a divergence.
+    """
+    if words[frame.FAULT] or words[frame.FIRST_TERM + term * frame.EACH + frame.BUILT_IN]:
+        return
+    if not (np.isfinite(own[:, m]).all() and np.isfinite(now[:, m]).all()):
+        return
+    if not np.isfinite(state).all():
+        return
+    for row in range(m, near.shape[0], words[frame.MEMBERS]):
+        if not np.isfinite(near[row]).all():
+            return
+    words[frame.FAULT] = frame.NOT_FINITE
+    words[frame.FAULT_TERM], words[frame.FAULT_MEMBER] = term, m + 1

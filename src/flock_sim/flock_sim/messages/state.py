@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state message of a bird, and its layout in bytes for code that does not decode it."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages.cdr import (
+    Float64,
+    Int32,
+    Message,
+    Numbers,
+    Text,
+    UInt32,
+    UInt64,
+    fixed_layout,
+    step_at,
+)
+from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.flock_state import FlockState
+
+FRAME = "flock"
+
+BILLION = 1_000_000_000
+
+ARRAYS = (
+    "position",
+    "speed",
+    "circulation",
+    "interaction_drag",
+    "mean_speed",
+    "mean_interaction_drag",
+)
+"""The fields of a state that have one value per member, in the order of the message."""
+
+VALUES, MEANS = ARRAYS[:4], ARRAYS[4:]
+"""The values at the time of a state, and the means that states of earlier versions lack."""
+
+NOTHING = np.empty(0)
+
+
+@dataclass(frozen=True, slots=True)
+class State(Message):
+    """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless.
+
+    The means are over all steps since the last recorded state, this step included. A state that was
+    recorded by an earlier version has none: they are empty. `forcing_state` has shape
+    (numbers * members,): the state of the laws that act on the bird.
+    """
+
+    TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
+
+    seconds: Int32
+    nanoseconds: UInt32
+    frame: Text
+    step: UInt64
+    time: Float64
+    position: Numbers
+    speed: Numbers
+    circulation: Numbers
+    interaction_drag: Numbers
+    mean_speed: Numbers
+    mean_interaction_drag: Numbers
+    forcing_state: Numbers = field(default_factory=lambda: NOTHING)
+    run_id: UInt64 = 0
+    epoch: UInt32 = 0
+
+    @classmethod
+    def decode(cls, data: bytes) -> State:
+        """Return the state in `data`, also of an earlier version. Raises ValueError as Message."""
+        try:
+            return cls(*cls.values_in(data, cls.KINDS))
+        except ValueError:
+            for arrays in (len(ARRAYS), len(VALUES)):
+                missing = len(ARRAYS) - arrays + 1
+                kinds = [*cls.KINDS[: -missing - 2], *cls.KINDS[-2:]]
+                try:
+                    *values, run_id, epoch = cls.values_in(data, kinds)
+                except ValueError:
+                    continue
+                early = cls(*[*values, *missing * [NOTHING], run_id, epoch])
+                if len(data) == cls.lengths(len(early.position), arrays, None).size:
+                    return early
+            raise
+
+    @staticmethod
+    def step_of(data: bytes) -> int:
+        """Return the step of an encoded state, without decoding it."""
+        return step_at(State, data, STATE_STEP_AT)
+
+    @staticmethod
+    def lengths(members: int, arrays: int = len(ARRAYS), forcing: int | None = 0) -> struct.Struct:
+        """Return the struct that reads the array lengths of an encoded state of `members`.
+
+        A state without means has fewer `arrays`: those of VALUES. `forcing` is the length of
+        `forcing_state`; states of earlier versions have no such field: None.
+        """
+        array = f"I{STATE_NUMBERS_AT - 4}x{8 * members}x"
+        last = "" if forcing is None else f"I{STATE_NUMBERS_AT - 4}x{8 * forcing}x"
+        return struct.Struct(f"<{STATE_HEAD}x{array * arrays}{last}{STATE_ENVELOPE.size}x")
+
+    @staticmethod
+    def envelope(data: bytes) -> tuple[int, int]:
+        """Return run id and epoch of an encoded state, without decoding it."""
+        run_id, epoch = STATE_ENVELOPE.unpack_from(data, len(data) - STATE_ENVELOPE.size)
+        return run_id, epoch
+
+    @staticmethod
+    def opened(data: bytes) -> bytes:
+        """Return an encoded state as it is recorded: with run id and epoch 0."""
+        return data[: -STATE_ENVELOPE.size] + bytes(STATE_ENVELOPE.size)
+
+    @classmethod
+    def at(
+        cls,
+        configuration: FlockConfiguration,
+        step: int,
+        position: FloatArray,
+        speed: FloatArray,
+        circulation: FloatArray,
+        interaction_drag: FloatArray,
+        mean_speed: FloatArray,
+        mean_interaction_drag: FloatArray,
+        forcing_state: FloatArray = NOTHING,
+        run_id: int = 0,
+        epoch: int = 0,
+    ) -> State:
+        """Return the state at the beginning of `step`, with its stamp and time."""
+        return cls(
+            *divmod(configuration.stamp(step), BILLION),
+            FRAME,
+            step,
+            configuration.time(step),
+            position,
+            speed,
+            circulation,
+            interaction_drag,
+            mean_speed,
+            mean_interaction_drag,
+            forcing_state,
+            run_id,
+            epoch,
+        )
+
+    @classmethod
+    def of_flock(cls, configuration: FlockConfiguration, flock: FlockState) -> list[State]:
+        """Return the states of bird 1, 2, ... N of a flock at a recorded step."""
+        return [
+            cls.at(
+                configuration,
+                flock.step,
+                flock.position[i],
+                flock.speed[i],
+                flock.circulation[i],
+                flock.interaction_drag[i],
+                flock.mean_speed[i],
+                flock.mean_interaction_drag[i],
+                flock.forcing_state[i].ravel() if flock.forcing_state.size else NOTHING,
+            )
+            for i in range(configuration.birds)
+        ]
+
+
+_ONE = np.zeros(1)
+_STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE, _ONE, _ONE)
+STATE_STEP_AT = _STATE.place("step")
+STATE_FRAME_AT = _STATE.place("frame")
+STATE_FRAME = _STATE.encode()[STATE_FRAME_AT:][: 4 + len(FRAME) + 1]
+"""FRAME in a state: its length, its text and a zero."""
+STATE_HEAD = _STATE.place(ARRAYS[0])
+"""Size of the fields before the arrays, with the encapsulation."""
+STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8
+"""Offset of the numbers of an array: its length and the padding come first."""
+STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
+"""Run id and epoch, the last fields of a state."""
