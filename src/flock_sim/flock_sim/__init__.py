@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from flock_sim.theory.delayed_nearest import delayed_nearest as delayed_nearest
     from flock_sim.theory.equilibrium import Equilibrium as Equilibrium
     from flock_sim.theory.equilibrium import equilibrium as equilibrium
+    from flock_sim.theory.sensitivity import Sensitivity as Sensitivity
+    from flock_sim.theory.sensitivity import sensitivity as sensitivity
     from flock_sim.theory.span_limits import Limits as Limits
     from flock_sim.theory.span_limits import exact_limits as exact_limits
 
@@ -49,11 +51,13 @@ _MODULES = {
     "Reference": "reference.integrator",
     "Run": "recording.run",
     "RunFailed": "errors",
+    "Sensitivity": "theory.sensitivity",
     "crossings": "theory.delay_stability",
     "delayed_nearest": "theory.delayed_nearest",
     "equilibrium": "theory.equilibrium",
     "exact_limits": "theory.span_limits",
     "register": "links.registry",
+    "sensitivity": "theory.sensitivity",
 }
 """The module below this package that defines each public name."""
 

@@ -10,7 +10,12 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from mpmath import mp
 
-from flock_sim.physics.aerodynamics import ahead_integral, even_part, interaction_integral
+from flock_sim.physics.aerodynamics import (
+    ahead_integral,
+    ahead_integral_gradient,
+    even_part,
+    interaction_integral,
+)
 from support.steady_flocks import A, integral
 
 EPS = 2.0**-52
@@ -111,6 +116,24 @@ def test_integral_is_accurate_wherever_birds_can_be(x, geometry):
         for side in (x, -x):
             exact = by_closed_form(side, *geometry)
             assert_as_good_as_promised(interaction_integral(side, *geometry), exact)
+
+
+@pytest.mark.parametrize("distance", [0.0, *DISTANCES])
+@pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
+def test_gradient_is_that_of_the_integral_ahead(distance, geometry):
+    wing = (abs(geometry[0]), *geometry[1:])
+    found = ahead_integral_gradient(distance, *wing)
+    with mpmath.workdps(DIGITS):
+        exact = [
+            mp.diff(lambda *wing: by_closed_form(-distance, *wing), wing, order)
+            for order in ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+        ]
+        # Each edge adds (1 + u / (X + J)) / (J + u), which is rounded a few times.
+        y, a, b = wing
+        edges = [y + a + b, y - a - b, y + a - b, y - a + b]
+        size = sum(2.0 / (np.hypot(distance, u) + u) for u in edges)
+        for value, expected in zip(found, exact):
+            assert abs(mp.mpf(value) - expected) <= 8.0 * EPS * size
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["I_+", "I_-"])

@@ -105,6 +105,16 @@ def warm_stability() -> None:
     eigenvalues(flock, np.ones((2, 1)), np.ones(1))
 
 
+def warm_sensitivity() -> None:
+    """Do the same with the derivatives of steady states."""
+    from flock_sim.physics.flock import Flock
+    from flock_sim.theory.equilibrium import equilibrium
+    from flock_sim.theory.sensitivity import sensitivity
+
+    flock = Flock.of(FlockConfiguration(birds=3))
+    sensitivity(flock, equilibrium(flock))
+
+
 def warm_integral() -> None:
     """Do the same with the interaction integral."""
     from flock_sim.physics.aerodynamics import interaction_integral
@@ -122,4 +132,5 @@ if __name__ == "__main__":
     for coupling in COUPLINGS:
         warm_equilibrium(coupling)
     warm_stability()
+    warm_sensitivity()
     warm_integral()

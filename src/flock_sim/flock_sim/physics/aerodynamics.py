@@ -9,6 +9,7 @@ from flock_sim.physics.compile import elementwise, inlined
 
 even_part = inlined(interaction.even_part)
 ahead_integral_and_slope = inlined(interaction.ahead_integral_and_slope)
+ahead_integral_gradient = inlined(interaction.ahead_integral_gradient)
 split_drag = inlined(interaction.split_drag)
 
 

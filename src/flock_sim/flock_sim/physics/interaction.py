@@ -105,6 +105,30 @@ def ahead_integral_and_slope(
     return log_of_quotient(n, d, difference) - x * slope, slope
 
 
+def ahead_integral_gradient(
+    distance: float, lateral: float, source_half: float, target_half: float
+) -> tuple[float, float, float]:
+    """Return the derivatives of f of `ahead_integral` by y, a and a' at the distance X, in 1 / b.
+
+    Each edge u of the four adds ln(X + J(u)) - J(u) / X to f, whose derivative by u, without the
+    part -1 / X that the four edges cancel, is (X + J(u) + u) / [(X + J(u)) (J(u) + u)]. Side by
+    side, at X = 0, the results are the derivatives of E.
+    """
+    x = FAR if distance > FAR else distance  # NaN stays
+    of_p = _edge_slope(x, lateral + source_half + target_half)
+    of_s = _edge_slope(x, lateral - source_half - target_half)
+    of_right = _edge_slope(x, lateral + source_half - target_half)
+    of_left = _edge_slope(x, lateral - source_half + target_half)
+    outer, inner = of_p - of_s, of_right - of_left
+    return (of_p + of_s) - (of_right + of_left), outer - inner, outer + inner
+
+
+def _edge_slope(x: float, edge: float) -> float:
+    """Return what an edge at the lateral distance `edge` adds to df/dy, without its part -1 / x."""
+    root = sqrt(x * x + edge * edge)
+    return (x + root + edge) / ((x + root) * (root + edge))
+
+
 def split_drag(x: float, strength: float, ahead: float, even: float) -> tuple[float, float]:
     """Return the drags of a pair (on a bird, on the other), in the unit of `strength`. Eq. (Djk2).
 
