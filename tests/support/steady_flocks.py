@@ -85,14 +85,27 @@ def saved(y, one, other, speed, strength=STRENGTH, of=math):
 
 
 def forces(
-    positions, speeds, ratios, coupling="nearest", *, lag=0, h_0=H_0, strength=STRENGTH, of=math
+    positions,
+    speeds,
+    ratios,
+    coupling="nearest",
+    *,
+    thrusts=None,
+    lag=0,
+    h_0=H_0,
+    strength=STRENGTH,
+    of=math,
 ):
     """(T_j - D_j - sum_i D_ij) / k of every bird, from Eq. (eom3).
 
-    Birds see each other where they were a `lag` ago, at the same speeds.
+    Birds see each other where they were a `lag` ago, at the same speeds. `thrusts` are T_j / T_0 of
+    each bird.
     """
     lateral = across(ratios)
-    force = [surplus(ratio, speed, h_0) for ratio, speed in zip(ratios, speeds)]
+    force = [
+        surplus(ratio, speed, h_0 * thrust)
+        for ratio, speed, thrust in zip(ratios, speeds, thrusts or [1] * len(ratios))
+    ]
     for i, j in pairs(len(ratios), coupling):
         for source, target in ((i, j), (j, i)):
             force[target] -= drag(
@@ -117,24 +130,29 @@ def pair_of(one, other, speed, of=math):
     return saved(one + other + TIP, one, other, speed, of=of)
 
 
-def steady_speed(ratios, coupling="nearest"):
-    """U*, where all forces add up to 0: a u^2 - 2 H_0 b u + b + c = 0 with u = U^2."""
+def steady_speed(ratios, coupling="nearest", thrusts=None):
+    """U*, where all forces add up to 0: a u^2 - 2 H_0 b' u + b + c = 0 with u = U^2.
+
+    b' is b with the `thrusts` T_j / T_0 as weights.
+    """
     side = across(ratios)
     saving = sum(
         saved(side[j] - side[i], ratios[i], ratios[j], 1.0) for i, j in pairs(len(ratios), coupling)
     )
     squares, fourths = (sum(ratio**power for ratio in ratios) for power in (2, 4))
-    half = H_0 * fourths
+    weights = thrusts or [1] * len(ratios)
+    half = H_0 * sum(weight * ratio**4 for weight, ratio in zip(weights, ratios))
     return math.sqrt((half + math.sqrt(half**2 - squares * (fourths + saving))) / squares)
 
 
-def shares_of_all_sets(ratios, speed, coupling="all"):
+def shares_of_all_sets(ratios, speed, coupling="all", thrusts=None):
     """The share of every proper set of birds (from 0) in the drag saved between it and the others.
 
     It is the need of the set, less the drag saved within it, over the drag saved by pairs across.
     """
     birds, side = len(ratios), across(ratios)
-    needed = [surplus(ratio, speed) for ratio in ratios]
+    weights = thrusts or [1] * len(ratios)
+    needed = [surplus(ratio, speed, H_0 * weight) for ratio, weight in zip(ratios, weights)]
     pair = {
         (i, j): saved(side[j] - side[i], ratios[i], ratios[j], speed)
         for i, j in pairs(birds, coupling)

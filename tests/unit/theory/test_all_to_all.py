@@ -48,6 +48,7 @@ def test_the_search_ends_in_the_same_state_from_anywhere(birds):
     strength, needed = np.empty_like(flock.even), np.empty_like(ratios)
     all_to_all.fill_shares(
         flock.span_ratio,
+        np.ones_like(ratios),
         flock.pairs,
         flock.even,
         flock.scales.cruise_ratio,

@@ -8,7 +8,7 @@ from mpmath import mp
 
 from flock_sim.theory.equilibrium import equilibrium
 from flock_sim.theory.sensitivity import sensitivity
-from support.steady_flocks import across, forces, pairs, random_ratios, saved, surplus
+from support.steady_flocks import H_0, across, forces, pairs, random_ratios, saved, surplus
 from support.steady_states import flock_of
 
 RELATIVE = 1e-9
@@ -20,22 +20,23 @@ STEP = mpmath.mpf(10) ** -12
 """Central differences err by the square of it."""
 
 
-def steady_state(ratios, coupling, start):
+def steady_state(ratios, coupling, thrusts, start):
     """U* and the spacings, where all forces are 0, found from `start`."""
 
     def all_forces(speed, *spacing):
         positions = [mp.mpf(0)]
         for gap in spacing:
             positions.append(positions[-1] + gap)
-        return forces(positions, [speed] * len(ratios), ratios, coupling, of=mp)
+        return forces(positions, [speed] * len(ratios), ratios, coupling, thrusts=thrusts, of=mp)
 
     return list(mpmath.findroot(all_forces, start, tol=mp.mpf(10) ** -(2 * DIGITS - 10)))
 
 
-def share_of(behind, ratios, speed, coupling):
+def share_of(behind, ratios, speed, coupling, thrusts):
     """s_S of the birds (from 0) of the set S."""
     side = across(ratios)
-    carried, between = sum(surplus(ratios[i], speed) for i in behind), mp.mpf(0)
+    carried = sum(surplus(ratios[i], speed, H_0 * thrusts[i]) for i in behind)
+    between = mp.mpf(0)
     for i, j in pairs(len(ratios), coupling):
         saving = saved(side[j] - side[i], ratios[i], ratios[j], speed, of=mp)
         if (i in behind) != (j in behind):
@@ -45,7 +46,7 @@ def share_of(behind, ratios, speed, coupling):
     return carried / between
 
 
-def differences(ratios, coupling, state):
+def differences(ratios, coupling, thrusts, state):
     """The derivatives of the first member of `state`: of speed, spacings, shares and margin."""
     birds = len(ratios)
     worst = [i for i in range(birds) if state.worst_set[i, 0]]
@@ -54,10 +55,10 @@ def differences(ratios, coupling, state):
     def quantities(bird, step):
         changed = [mp.mpf(ratio) for ratio in ratios]
         changed[bird] += step
-        speed, *spacing = steady_state(changed, coupling, start)
+        speed, *spacing = steady_state(changed, coupling, thrusts, start)
         sets = [range(gap) for gap in range(1, birds)]
-        share = [share_of(behind, changed, speed, coupling) for behind in sets]
-        margin = [1 - share_of(worst, changed, speed, coupling)] if birds > 1 else []
+        share = [share_of(behind, changed, speed, coupling, thrusts) for behind in sets]
+        margin = [1 - share_of(worst, changed, speed, coupling, thrusts)] if birds > 1 else []
         return [speed, *spacing, *share, *margin]
 
     columns = []
@@ -90,12 +91,16 @@ FLOCKS = [
 @pytest.mark.parametrize(("birds", "coupling", "seed", "spread"), FLOCKS)
 def test_derivatives_are_those_of_independent_steady_states(birds, coupling, seed, spread):
     ratios = random_ratios(seed, birds, 1, spread)[:, 0]
+    # Half of the flocks have birds of other thrusts, too.
+    thrusts = random_ratios(seed + 1, birds, 1, spread if seed % 2 else 0.0)
     flock = flock_of(birds, ratios, coupling=coupling)
-    state = equilibrium(flock)
+    state = equilibrium(flock, thrusts)
     assert state.exists.all()
     found = sensitivity(flock, state)
     with mpmath.workdps(DIGITS):
-        speed, spacing, share, margin = differences(ratios.tolist(), coupling, state)
+        speed, spacing, share, margin = differences(
+            ratios.tolist(), coupling, thrusts[:, 0].tolist(), state
+        )
     for name, value, expected in (
         ("speed", found.speed_by_span, speed[0]),
         ("spacing", found.spacing_by_span, spacing),

@@ -43,6 +43,7 @@ OVERSHOOT = 0.5
 @kernel
 def fill_shares(
     span_ratio: FloatArray,
+    thrust_ratio: FloatArray,
     pairs: npt.NDArray[np.int64],
     even: FloatArray,
     cruise_ratio: float,
@@ -57,25 +58,27 @@ def fill_shares(
     `cruise_ratio` is H_0, `strength_unit` = Gamma_min^2 / (4 pi k). The function fills `square`
     (members,) with U*^2; `strength` (pairs, members) with K_ij / k; `needed` (birds, members) with
     R_j / k; and `share` (birds - 1, members) with the shares s_S of birds 1..i for each gap i.
-    `span_ratio`, `pairs` and `even` are as in `Flock`.
+    `span_ratio`, `pairs` and `even` are as in `Flock`, `thrust_ratio` as in `Equilibrium`.
     """
     birds, members = span_ratio.shape
     behind = np.empty(birds, dtype=np.bool_)
     for m in range(members):
-        squares, fourths, saving = 0.0, 0.0, 0.0
+        squares, fourths, saving, added = 0.0, 0.0, 0.0, 0.0
         for i in range(birds):
             ratio = span_ratio[i, m] * span_ratio[i, m]
             squares += ratio
             fourths += ratio * ratio
+            added += ratio * ratio * (thrust_ratio[i, m] - 1.0)
         for k in range(pairs.shape[0]):
             product = span_ratio[pairs[k, 0], m] * span_ratio[pairs[k, 1], m]
             strength[k, m] = product * product * strength_unit
             saving += 2.0 * strength[k, m] * even[k, m]
-        square[m] = steady_square(squares, fourths, saving, cruise_ratio)
+        square[m] = steady_square(squares, fourths, saving, cruise_ratio, added)
         for k in range(pairs.shape[0]):
             strength[k, m] /= square[m]
         for i in range(birds):
-            needed[i, m] = balance(span_ratio[i, m], square[m], cruise_ratio)
+            own = cruise_ratio * thrust_ratio[i, m]
+            needed[i, m] = balance(span_ratio[i, m], square[m], own)
         behind[:] = False
         of_birds = needed[:, m].copy()
         saved = 2.0 * strength[:, m] * even[:, m]

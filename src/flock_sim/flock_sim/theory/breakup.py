@@ -51,7 +51,8 @@ def parts(flock: Flock, equilibrium: Equilibrium, member: int) -> list[list[int]
     common = float(equilibrium.balanced_speed[member])
     if not np.isfinite(common):
         return []
-    needed = balances(ratio, common**2, flock.scales.cruise_ratio)
+    cruise_ratio = flock.scales.cruise_ratio * equilibrium.thrust_ratio[:, member]
+    needed = balances(ratio, common**2, cruise_ratio)
     tail, head = flock.pairs.T
     constant = flock.scales.saving_ratio * (ratio[tail] * ratio[head]) ** 2 * flock.even[:, member]
     least = _taut_string if flock.coupling == "nearest" else _least_squares

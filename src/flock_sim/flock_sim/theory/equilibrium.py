@@ -29,6 +29,8 @@ class Equilibrium:
 
     span_ratio: FloatArray
     """lambda_i, shape (birds, members)."""
+    thrust_ratio: FloatArray
+    """T_i over the thrust lambda_i^4 T_0 of the model, shape (birds, members)."""
     exists: npt.NDArray[np.bool_]
     """Whether the flock can fly in formation, shape (members,)."""
     speed: FloatArray
@@ -94,30 +96,34 @@ class Equilibrium:
         return np.where(between.sum(axis=0) == 1, np.argmax(between, axis=0) + 1, 0)
 
 
-def equilibrium(flock: Flock) -> Equilibrium:
+def equilibrium(flock: Flock, thrust_ratio: FloatArray | None = None) -> Equilibrium:
     """Return the steady states of all members of `flock`: exact for `nearest`, Newton for `all`.
 
+    `thrust_ratio`, shape (birds, members), has the thrust of each bird over that of the model,
+    lambda^4 T_0; None: all are 1.
     Raises RunFailed if Newton's method does not find a state that exists.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a member that overflows is nan
-        return _equilibrium(flock)
+        return _equilibrium(flock, _thrust_ratios(flock, thrust_ratio))
 
 
-def _equilibrium(flock: Flock) -> Equilibrium:
+def _equilibrium(flock: Flock, thrust_ratio: FloatArray) -> Equilibrium:
     if flock.coupling == "nearest" or flock.birds == 1:
-        square, share = nearest_shares(flock)
+        square, share = nearest_shares(flock, thrust_ratio)
         margin = distance_from_end(share).min(axis=0, initial=np.inf)
         worst = _worst_of_gaps(share)
         spacing = np.empty_like(share)
         nearest.fill_spacings(flock.span_ratio, share, spacing)
     else:
-        square, share, spacing, margin, worst = _all_to_all(flock)
+        square, share, spacing, margin, worst = _all_to_all(flock, thrust_ratio)
     exists = (margin > 0.0) & np.isfinite(square)
     known = np.where(exists, square, np.nan)
     spacing[:, ~exists] = np.nan
     ratio = flock.scales.cruise_ratio
+    needed = balances(flock.span_ratio, known, ratio * thrust_ratio)
     return Equilibrium(
         span_ratio=flock.span_ratio,
+        thrust_ratio=thrust_ratio,
         exists=exists,
         speed=np.sqrt(known),
         balanced_speed=np.sqrt(square),
@@ -125,17 +131,32 @@ def _equilibrium(flock: Flock) -> Equilibrium:
         share=share,
         margin=margin,
         worst_set=worst,
-        drag_reduction=drag_reduction(balances(flock.span_ratio, known, ratio), 2.0 * ratio),
+        drag_reduction=drag_reduction(needed, 2.0 * ratio),
     )
 
 
-def nearest_shares(flock: Flock) -> tuple[FloatArray, FloatArray]:
-    """Return U*^2 (members,) and the shares (birds - 1, members) of nearest-neighbour coupling."""
+def nearest_shares(
+    flock: Flock, thrust_ratio: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return U*^2 (members,) and the shares (birds - 1, members) of nearest-neighbour coupling.
+
+    `thrust_ratio` is as in `equilibrium`.
+    """
     square = np.empty(flock.members)
     share = np.empty((flock.birds - 1, flock.members))
     scales = flock.scales
-    nearest.fill_shares(flock.span_ratio, scales.cruise_ratio, scales.saving_ratio, square, share)
+    thrust = _thrust_ratios(flock, thrust_ratio)
+    nearest.fill_shares(
+        flock.span_ratio, thrust, scales.cruise_ratio, scales.saving_ratio, square, share
+    )
     return square, share
+
+
+def _thrust_ratios(flock: Flock, given: FloatArray | None) -> FloatArray:
+    """Return the argument `thrust_ratio` of `equilibrium` in the layout of kernels."""
+    if given is None:
+        return np.ones_like(flock.span_ratio)
+    return np.ascontiguousarray(np.broadcast_to(given, flock.span_ratio.shape), dtype=np.float64)
 
 
 def distance_from_end(share: FloatArray) -> FloatArray:
@@ -163,7 +184,7 @@ def _worst_of_gaps(share: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _all_to_all(
-    flock: Flock,
+    flock: Flock, thrust_ratio: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """Return U*^2, shares, spacings, margins and worst sets of all-to-all coupling."""
     from flock_sim.theory import all_to_all, worst_sets  # kernels not used for `nearest`
@@ -173,6 +194,7 @@ def _all_to_all(
     strength, needed = np.empty_like(flock.even), np.empty_like(flock.span_ratio)
     all_to_all.fill_shares(
         flock.span_ratio,
+        thrust_ratio,
         flock.pairs,
         flock.even,
         flock.scales.cruise_ratio,
@@ -185,7 +207,7 @@ def _all_to_all(
     margin, worst = np.empty(flock.members), _worst_of_gaps(share)
     worst_sets.find_worst_sets(needed, flock.pairs, 2.0 * strength * flock.even, worst, margin)
     spacing = np.empty_like(share)
-    near = np.clip(nearest_shares(flock)[1], CLOSEST_START, 1.0 - CLOSEST_START)
+    near = np.clip(nearest_shares(flock, thrust_ratio)[1], CLOSEST_START, 1.0 - CLOSEST_START)
     nearest.fill_spacings(flock.span_ratio, near, spacing)
     start = formation.positions(np.nan_to_num(spacing))
     for m in np.flatnonzero(margin > 0.0):

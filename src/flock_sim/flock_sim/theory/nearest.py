@@ -30,6 +30,7 @@ LAST_STEP = 1e-9
 @kernel
 def fill_shares(
     span_ratio: FloatArray,
+    thrust_ratio: FloatArray,
     cruise_ratio: float,
     strength: float,
     square: FloatArray,
@@ -37,27 +38,29 @@ def fill_shares(
 ) -> None:
     """Fill U*^2, `square` (members,), and the shares of the gaps, `share` (birds - 1, members).
 
-    `span_ratio` has shape (birds, members); `cruise_ratio` is H_0, `strength` 4 e_O / pi^2.
+    `span_ratio` and `thrust_ratio` have shape (birds, members); `cruise_ratio` is H_0, `strength`
+    4 e_O / pi^2.
     Shares outside of (0, 1) mean that no formation exists. All are nan if no speed exists.
     """
     birds, members = span_ratio.shape
     for m in range(members):
-        squares, fourths, saving = 0.0, 0.0, 0.0
+        squares, fourths, saving, added = 0.0, 0.0, 0.0, 0.0
         before = 0.0
         for i in range(birds):
             ratio = span_ratio[i, m] * span_ratio[i, m]
             squares += ratio
             fourths += ratio * ratio
+            added += ratio * ratio * (thrust_ratio[i, m] - 1.0)
             if i > 0:
                 share[i - 1, m] = strength * before * ratio * _even(span_ratio, i - 1, m)
                 saving += share[i - 1, m]
             before = ratio
-        u = steady_square(squares, fourths, saving, cruise_ratio)
+        u = steady_square(squares, fourths, saving, cruise_ratio, added)
         square[m] = u
         carried = 0.0
         for i in range(birds - 1):
             pair = share[i, m] / u
-            carried += balance(span_ratio[i, m], u, cruise_ratio)
+            carried += balance(span_ratio[i, m], u, cruise_ratio * thrust_ratio[i, m])
             share[i, m] = carried / pair
             carried -= pair
 

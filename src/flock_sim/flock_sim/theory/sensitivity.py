@@ -75,6 +75,7 @@ def sensitivity(flock: Flock, state: Equilibrium) -> Sensitivity:
     for m in np.flatnonzero(state.exists):
         one = _SteadyState(
             flock.select(np.array([m])),
+            state.thrust_ratio[:, m],
             formation.positions(state.spacing[:, [m]])[:, 0],
             float(state.speed[m]) ** 2,
         )
@@ -128,13 +129,16 @@ class _Drags:
 class _SteadyState:
     """The steady state of one flock; all forces are in units of k."""
 
-    def __init__(self, flock: Flock, position: FloatArray, square: float) -> None:
+    def __init__(
+        self, flock: Flock, thrust_ratio: FloatArray, position: FloatArray, square: float
+    ) -> None:
         self.flock = flock
         self.position = position
         ratio = self.ratio = flock.span_ratio[:, 0]
-        twice = 2.0 * flock.scales.cruise_ratio
-        needed = balances(ratio, square, flock.scales.cruise_ratio)
-        self.needed_by_span = 2.0 * ratio * (2.0 * ratio**2 * (twice - 1.0 / square) - square)
+        cruise_ratio = flock.scales.cruise_ratio * thrust_ratio
+        needed = balances(ratio, square, cruise_ratio)
+        thrust = 2.0 * cruise_ratio - 1.0 / square
+        self.needed_by_span = 2.0 * ratio * (2.0 * ratio**2 * thrust - square)
         """d_i R_i, shape (birds,)."""
         self.by_square = ratio**2 * ((ratio / square) ** 2 - 1.0) + needed / square
         """dR_i/du + R_i / u, shape (birds,)."""
