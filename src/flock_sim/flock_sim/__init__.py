@@ -28,10 +28,11 @@ if TYPE_CHECKING:
     from flock_sim.theory.delayed_nearest import delayed_nearest as delayed_nearest
     from flock_sim.theory.equilibrium import Equilibrium as Equilibrium
     from flock_sim.theory.equilibrium import equilibrium as equilibrium
+    from flock_sim.theory.limit_search import Limits as Limits
     from flock_sim.theory.sensitivity import Sensitivity as Sensitivity
     from flock_sim.theory.sensitivity import sensitivity as sensitivity
-    from flock_sim.theory.span_limits import Limits as Limits
     from flock_sim.theory.span_limits import exact_limits as exact_limits
+    from flock_sim.theory.thrust_limits import exact_thrust_limits as exact_thrust_limits
 
 __version__ = "0.1.0"
 
@@ -44,7 +45,7 @@ _MODULES = {
     "FlockConfiguration": "configuration.flock_configuration",
     "FlockError": "errors",
     "FlockState": "physics.flock_state",
-    "Limits": "theory.span_limits",
+    "Limits": "theory.limit_search",
     "LinkModel": "links.models",
     "Metrics": "analysis.metrics",
     "Perturbation": "configuration.perturbation",
@@ -56,6 +57,7 @@ _MODULES = {
     "delayed_nearest": "theory.delayed_nearest",
     "equilibrium": "theory.equilibrium",
     "exact_limits": "theory.span_limits",
+    "exact_thrust_limits": "theory.thrust_limits",
     "register": "links.registry",
     "sensitivity": "theory.sensitivity",
 }

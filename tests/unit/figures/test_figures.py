@@ -20,7 +20,8 @@ from flock_sim.physics.aerodynamics import even_part, interaction_integral
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.formation import TIP_SPACING, VORTEX_FRACTION
 from flock_sim.theory.equilibrium import equilibrium
-from flock_sim.theory.span_limits import End, Limits, exact_limits, modified_birds
+from flock_sim.theory.limit_search import End, Limits
+from flock_sim.theory.span_limits import exact_limits, modified_birds
 from flock_tools.commands.figures import tool
 from flock_tools.figures import files
 from flock_tools.figures.contributions import CONFIGURATION, contributions, draw_contributions

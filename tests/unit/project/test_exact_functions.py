@@ -22,7 +22,8 @@ FLOWN = (
     "flock_sim/flock_sim/physics",
     "flock_sim/flock_sim/protocol",
     "flock_sim/flock_sim/reference",
-    "flock_sim/flock_sim/theory/span_limits.py",  # the span ratios that `limits` flies
+    "flock_sim/flock_sim/theory/limit_search.py",  # the span ratios that `limits` flies
+    "flock_sim/flock_sim/theory/span_limits.py",
     "flock_tools/flock_tools/experiments/ensemble.py",
     "flock_tools/flock_tools/experiments/sweep/axes.py",
     "flock_tools/flock_tools/experiments/sweep/members.py",

@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.span_ratios import entries
-from flock_sim.theory.span_limits import NO_GAP, End, exact_limits, modified_birds, search
+from flock_sim.theory.limit_search import NO_GAP, End
+from flock_sim.theory.span_limits import exact_limits, modified_birds, search
 from support.steady_flocks import (
     H_0,
     pair_of,

@@ -3,74 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.flock import Flock
-from flock_sim.theory.breakup import opening_gap, parts
-from flock_sim.theory.equilibrium import equilibrium
-
-Trial = Callable[[FloatArray], IntArray]
-"""Function of span ratios (birds, members) that returns the gap that opens in each member.
-
-The gap is 0 if the flock holds together. It is NO_GAP if the flock doesn't hold together and no gap
-can be named.
-"""
-
-NO_GAP = -1
-
-GRID = 200
-"""Number of parts of the searched interval for cheap trials. The ends of parts are tried first."""
-
-EXACT = 1e-13
-"""Resolution of exact limits: the remaining error is the rounding of shares."""
-
-BEYOND = 1e-4
-"""Distance outside of an exact limit at which the breakup of the flock is computed."""
+from flock_sim.theory import limit_search
+from flock_sim.theory.equilibrium import Equilibrium, equilibrium
+from flock_sim.theory.limit_search import Limits, Trial, limits_of_existence, modified
 
 LEAST_SUM = 1.0 + 1e-6
 """Least sum of the span ratios of neighbours."""
-
-
-@dataclass(frozen=True)
-class End:
-    """One end of the interval of lambda that keeps a formation."""
-
-    ratio: float
-    """lambda, to half the resolution."""
-    gap: int | None
-    """The gap that opens beyond it; None if thrust balances drag at no speed."""
-    parts: list[list[int]] | None = None
-    """The groups of birds that fly on together beyond it, fastest first; None if not known."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The interval of lambda of one bird that keeps the formation, around its present lambda.
-
-    If the present lambda doesn't keep it, this is the nearest interval that was found. An end is
-    None if the searched interval keeps the formation up to its end on this side. Both are None if
-    `never`: no lambda in the searched interval keeps the formation.
-    """
-
-    bird: int
-    lower: End | None
-    upper: End | None
-    never: bool = False
-    tried: tuple[tuple[float, int], ...] = ()
-    """Each tried lambda, ascending, with the result of its trial."""
-
-    @property
-    def searched(self) -> tuple[float, float] | None:
-        """The smallest and the largest tried lambda; None if none was tried.
-
-        The smallest one is above the requested one if vortices of neighbours would meet below it.
-        """
-        return (self.tried[0][0], self.tried[-1][0]) if self.tried else None
 
 
 def modified_birds(configuration: FlockConfiguration) -> list[int]:
@@ -84,52 +29,18 @@ def modified_birds(configuration: FlockConfiguration) -> list[int]:
 def exact_limits(
     configuration: FlockConfiguration, birds: Sequence[int], low: float, high: float
 ) -> list[Limits]:
-    """Return the limits of each of `birds` in [low, high], by the existence of the steady state.
+    """Return the limits of lambda of each of `birds` in [low, high], where steady states exist.
 
     They are exact to about 1e-13. `configuration` has one member.
     """
 
-    def trial(span_ratio: FloatArray) -> IntArray:
-        state = equilibrium(Flock.of(configuration, span_ratio))
-        return np.where(state.exists, 0, np.where(state.weakest_gap > 0, state.weakest_gap, NO_GAP))
+    def steady_states(span_ratio: FloatArray) -> tuple[Flock, Equilibrium]:
+        flock = Flock.of(configuration, span_ratio)
+        return flock, equilibrium(flock)
 
-    def with_parts(bird: int, end: End | None, outwards: float) -> End | None:
-        """Add the parts of a flock beyond the limit; at the limit many gaps can be equally weak."""
-        if end is None or end.gap is None:
-            return end
-        beyond = modified_span_ratios(configuration, [bird], [end.ratio + outwards * BEYOND])
-        flock = Flock.of(configuration, beyond)
-        state = equilibrium(flock)
-        groups = parts(flock, state, 0)
-        return replace(end, gap=opening_gap(state, groups, 0) or end.gap, parts=groups)
-
-    found = search(configuration, birds, low, high, EXACT, trial, GRID)
-    return [
-        replace(
-            limits,
-            lower=with_parts(limits.bird, limits.lower, -1.0),
-            upper=with_parts(limits.bird, limits.upper, 1.0),
-        )
-        for limits in found
-    ]
-
-
-@dataclass
-class _Bracket:
-    """Two span ratios of a bird: `inside` keeps the formation, `outside` doesn't."""
-
-    bird: int
-    inside: float
-    outside: float
-    gap: int
-
-    @property
-    def width(self) -> float:
-        """Distance of the two ratios."""
-        return abs(self.outside - self.inside)
-
-    def end(self) -> End:
-        return End(0.5 * (self.inside + self.outside), None if self.gap == NO_GAP else self.gap)
+    present = configuration.span_ratio[:, 0]
+    lowest = [_lowest(present, bird, low) for bird in birds]
+    return limits_of_existence(steady_states, present, birds, lowest, high)
 
 
 def search(
@@ -142,85 +53,19 @@ def search(
     grid: int = 1,
     sections: int = 2,
 ) -> list[Limits]:
-    """Return the limits of each of `birds` in [low, high], to `resolution`, by bisection.
+    """Return the limits of lambda of each of `birds` in [low, high], by `limit_search.search`.
 
-    First the ends of `grid` equal parts of the interval are tried, and the bird's present ratio if
-    it lies within. Then all brackets are narrowed at once: each round divides them into `sections`.
     With small neighbours, the interval starts at the ratio at which the vortices are still apart.
     """
-    own = configuration.span_ratio[:, 0]
-    tried = []
-    for bird in birds:
-        beside = own[[k for k in (bird - 2, bird) if 0 <= k < len(own)]]
-        first = max(low, LEAST_SUM - beside.min(initial=np.inf))
-        present = own[bird - 1 : bird]
-        within = present[(first <= present) & (present <= high)]
-        marks = np.linspace(first, high, grid + 1) if first < high else np.empty(0)
-        tried.append(np.unique(np.append(marks, within)))
-    counts = [len(ratios) for ratios in tried]
-    gaps = trial(
-        modified_span_ratios(configuration, np.repeat(birds, counts), np.concatenate(tried))
-    )
-    verdicts: dict[int, dict[float, int]] = {bird: {} for bird in birds}
-
-    never = set()
-    brackets: dict[tuple[int, str], _Bracket] = {}
-    for bird, ratios, opened in zip(birds, tried, np.split(gaps, np.cumsum(counts)[:-1])):
-        verdicts[bird].update(zip(ratios.tolist(), opened.tolist()))
-        kept = np.flatnonzero(opened == 0)
-        if not len(kept):
-            never.add(bird)
-            continue
-        start = int(kept[np.argmin(np.abs(ratios[kept] - own[bird - 1]))])
-        for side, step in (("lower", -1), ("upper", 1)):
-            outside = start
-            while 0 <= outside < len(ratios) and opened[outside] == 0:
-                outside += step
-            if 0 <= outside < len(ratios):
-                brackets[bird, side] = _Bracket(
-                    bird, ratios[outside - step], ratios[outside], int(opened[outside])
-                )
-    _narrow(configuration, list(brackets.values()), resolution, trial, sections, verdicts)
-    ends = {key: bracket.end() for key, bracket in brackets.items()}
-    return [
-        Limits(
-            bird,
-            ends.get((bird, "lower")),
-            ends.get((bird, "upper")),
-            bird in never,
-            tuple(sorted(verdicts[bird].items())),
-        )
-        for bird in birds
-    ]
+    present = configuration.span_ratio[:, 0]
+    lowest = [_lowest(present, bird, low) for bird in birds]
+    return limit_search.search(present, birds, lowest, high, resolution, trial, grid, sections)
 
 
-def _narrow(
-    configuration: FlockConfiguration,
-    brackets: list[_Bracket],
-    resolution: float,
-    trial: Trial,
-    sections: int,
-    verdicts: dict[int, dict[float, int]],
-) -> None:
-    """Narrow all brackets down to `resolution`, or to the spacing of floating-point numbers.
-
-    The results of the trials are added to `verdicts`, by bird and ratio.
-    """
-    while wide := [b for b in brackets if b.width > max(resolution, 4.0 * np.spacing(b.outside))]:
-        ratios = np.array(
-            [np.linspace(b.inside, b.outside, sections + 1)[1:-1] for b in wide]
-        )  # (brackets, sections - 1)
-        birds = np.repeat([bracket.bird for bracket in wide], ratios.shape[1])
-        gaps = trial(modified_span_ratios(configuration, birds, ratios.ravel())).reshape(
-            ratios.shape
-        )
-        for bracket, between, opened in zip(wide, ratios, gaps):
-            verdicts[bracket.bird].update(zip(between.tolist(), opened.tolist()))
-            for ratio, gap in zip(between, opened):
-                if gap:
-                    bracket.outside, bracket.gap = float(ratio), int(gap)
-                    break
-                bracket.inside = float(ratio)
+def _lowest(present: FloatArray, bird: int, low: float) -> float:
+    """Return the smallest lambda of `bird` to try, at least `low`; `present` has shape (birds,)."""
+    beside = present[[k for k in (bird - 2, bird) if 0 <= k < len(present)]]
+    return max(low, float(LEAST_SUM - beside.min(initial=np.inf)))
 
 
 def modified_span_ratios(
@@ -229,6 +74,4 @@ def modified_span_ratios(
     ratios: Sequence[float] | FloatArray,
 ) -> FloatArray:
     """Return the span ratios with one modified bird per member, shape (birds, members)."""
-    span_ratio = np.repeat(configuration.span_ratio[:, :1], len(ratios), axis=1)
-    span_ratio[np.asarray(birds) - 1, np.arange(len(ratios))] = ratios
-    return span_ratio
+    return modified(configuration.span_ratio[:, 0], birds, ratios)

@@ -34,7 +34,7 @@ from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
-    from flock_sim.theory.span_limits import Limits
+    from flock_sim.theory.limit_search import Limits
     from flock_tools.experiments.flown_limits import HowFlown
 
 METHODS = ("exact", "integrate", "fly")

@@ -13,7 +13,7 @@ from flock_sim.analysis.metrics import STABLE_BELOW, speed_std
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.reference.integrator import Reference
-from flock_sim.theory.span_limits import NO_GAP
+from flock_sim.theory.limit_search import NO_GAP
 from flock_tools.experiments.workers import Workers
 
 AT_ONCE = 1_000_000

@@ -20,7 +20,8 @@ from flock_sim.launcher.flight import Plan, begin_bag, fly, on_ros
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.recording.output_directory import own_output
 from flock_sim.recording.run import Run
-from flock_sim.theory.span_limits import Limits, search
+from flock_sim.theory.limit_search import Limits
+from flock_sim.theory.span_limits import search
 from flock_tools.experiments.ensemble import gaps_at_end, undisturbed
 from flock_tools.experiments.sweep.members import record_every
 

@@ -11,7 +11,8 @@ from typing import Any
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.progress import counter
 from flock_sim.launcher.precompile import warm_reference
-from flock_sim.theory.span_limits import Limits, search
+from flock_sim.theory.limit_search import Limits
+from flock_sim.theory.span_limits import search
 from flock_tools.experiments.ensemble import Ensembles
 from flock_tools.experiments.workers import workers
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from flock_sim.analysis.metrics import STABLE_BELOW
-from flock_sim.theory.span_limits import NO_GAP, End, Limits
+from flock_sim.theory.limit_search import NO_GAP, End, Limits
 
 
 def as_json(limits: Limits, tried: bool) -> dict[str, Any]:

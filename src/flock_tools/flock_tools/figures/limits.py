@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
-from flock_sim.theory.span_limits import End, Limits
+from flock_sim.theory.limit_search import End, Limits
 from flock_tools.figures.style import (
     ALARM,
     COLUMN,
