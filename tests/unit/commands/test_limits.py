@@ -148,6 +148,69 @@ def test_both_wings_are_searched_where_they_differ(capsys: pytest.CaptureFixture
     )
 
 
+@pytest.mark.parametrize("coupling", ["nearest", "all"])
+def test_limits_of_thrust_have_the_same_json(
+    coupling: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flock = ("--birds", "7", "--coupling", coupling)
+    span = json_of(tool, capsys, *flock)
+    thrust = json_of(tool, capsys, *flock, "--of", "thrust")
+    assert thrust.keys() == span.keys()
+    assert (span["of"], thrust["of"], thrust["between"]) == ("span", "thrust", [0.0, 2.0])
+    for one, other in zip(span["limits"], thrust["limits"], strict=True):
+        assert one.keys() == other.keys()
+        assert 0.7 < other["lower"] < 1.0 < other["upper"] < 1.2
+
+
+def test_limits_of_thrust_are_told_plainly(capsys: pytest.CaptureFixture[str]) -> None:
+    text = text_of(tool, capsys, "--birds", "3", "--of", "thrust")
+    assert "the thrust of one changed: the ratios T/T_0 from 0 to 2 that keep the" in text
+    assert "     1   0.919506316829   gap 1   1.141788600378   gap 1" in text
+    small = ("--birds", "3", "--span-ratio", "2=0.2", "--of", "thrust")
+    text = text_of(tool, capsys, *small)
+    assert "bird 2: keeps the formation without any thrust" in text
+    assert "bird 1: keeps" not in text
+    assert "without any thrust" not in text_of(tool, capsys, *small, "--between", "0.1,2")
+    never = ("--birds", "5", "--span-ratio", "2=0.6", "--of", "thrust", "--bird", "1,4")
+    text = text_of(tool, capsys, *never)
+    assert "none: no such thrust of this bird was found" in text
+    assert "intervals are those nearest to T_0" in text
+
+
+def test_the_diagram_of_thrust_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "thrust.svg"
+    small = ("--birds", "3", "--span-ratio", "2=0.2", "--of", "thrust", "--between", "0,20")
+    text_of(tool, capsys, *small, "--output", str(output))
+    assert output.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("method", ["integrate", "fly"])
+def test_limits_of_thrust_are_exact_only(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    line = error_of(tool, capsys, "--of", "thrust", "--method", method)
+    assert f"--method {method} is for --of span" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--of thrst", "did you mean 'thrust'"),
+        ("--between -0.1,2", "--between -0.1,2: must be two ratios T/T_0 LO,HI with 0 <= LO < HI"),
+        ("--between 1,1", "such as 0,2"),
+        ("--between 0,inf", "--between 0,inf: must be"),
+        ("--between nan,1", "--between nan,1: must be"),
+        ("--points 5", "--points is for --method integrate and fly"),
+        ("--bird 0", "--bird 0: must be a whole number, 1..13"),
+        ("--birds 1", "must be 2 or more, since limits need a formation"),
+    ],
+)
+def test_bad_input_for_limits_of_thrust_is_one_line(
+    arguments: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    option, value = arguments.split()
+    of = () if option == "--of" else ("--of", "thrust")
+    assert words in error_of(tool, capsys, *of, f"{option}={value}")
+
+
 @pytest.mark.parametrize("kind", ["png", "svg"])
 def test_the_diagram_is_drawn(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

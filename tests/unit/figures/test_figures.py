@@ -22,6 +22,7 @@ from flock_sim.physics.formation import TIP_SPACING, VORTEX_FRACTION
 from flock_sim.theory.equilibrium import equilibrium
 from flock_sim.theory.limit_search import End, Limits
 from flock_sim.theory.span_limits import exact_limits, modified_birds
+from flock_sim.theory.thrust_limits import exact_thrust_limits
 from flock_tools.commands.figures import tool
 from flock_tools.figures import files
 from flock_tools.figures.contributions import CONFIGURATION, contributions, draw_contributions
@@ -312,6 +313,25 @@ def test_limits_of_every_kind_are_drawn_legibly(
     ends = [end for found in limits for end in (found.lower, found.upper) if end]
     bar = "|" if len(limits) < 30 else "–"
     assert {f"{end.gap}{bar}{end.gap + 1}" for end in ends if end.gap} <= named
+
+
+@pytest.mark.parametrize(
+    ("birds", "coupling"), [(5, "nearest"), (13, "nearest"), (40, "nearest"), (5, "all")]
+)
+def test_limits_of_thrust_are_drawn_legibly(birds: int, coupling: str) -> None:
+    flock = FlockConfiguration(birds=birds, coupling=coupling, span_ratios=("2=1.005",))
+    limits = exact_thrust_limits(flock, modified_birds(flock), 0.0, 2.0)
+    figure = draw_limits(limits, flock, 0.0, 2.0, "thrust")
+    check_legible(figure, 0.5 if len(limits) < 30 else 2.0)
+    assert {axes.get_ylabel() for axes in figure.axes} == {"thrust ratio $T/T_0$"}
+    # Bird 2 has a span ratio of its own, but a ratio of thrusts of 1.
+    assert not [line for axes in figure.axes for line in axes.lines if line.get_marker() == "o"]
+
+
+def test_an_interval_of_thrust_ends_at_no_thrust() -> None:
+    limits = [Limits(1, None, End(1.2, 3), tried=((0.0, 0), (2.0, 3)))]
+    assert not lines(draw_limits(limits, GEESE, 0.0, 2.0, "thrust"), "v")
+    assert lines(draw_limits(limits, GEESE, 0.1, 2.0, "span"), "v") == [(1.0, 0.1)]
 
 
 def lines(figure: Figure, marker: str) -> list[tuple[float, float]]:

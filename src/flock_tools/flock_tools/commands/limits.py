@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 METHODS = ("exact", "integrate", "fly")
 
+QUANTITIES = ("span", "thrust")
+"""What of a bird is modified."""
+
 OF_METHODS = {
     "points": ("integrate", "fly"),
     "resolution": ("integrate",),
@@ -49,8 +52,8 @@ OF_METHODS = {
 }
 """Options that only some methods have, and the methods that have them."""
 
-BETWEEN = "0.5,1.5"
-"""The paper's range of span ratios."""
+BETWEEN = {"span": "0.5,1.5", "thrust": "0,2"}
+"""Default intervals that are searched: the paper's range of span ratios, and that of T/T_0."""
 
 RESOLUTION = "1e-3"
 
@@ -68,13 +71,16 @@ LEAST_RESOLUTION = 1e-12
 
 DESCRIPTION = """\
 Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
-in formation, and the gap that opens at each end.
+in formation, and the gap that opens at each end. With --of thrust, find the interval of T/T_0: how
+much thrust a bird may lose or add. T_0 is the usual thrust of that bird, lambda^4 k (U_0^2 +
+U_0^-2); its span and all other birds stay as they are. A bird that needs no thrust (T = 0) glides.
 exact: by the existence of the steady state.
 integrate: by the paper's protocol: the flight starts from the V of the homogeneous flock, has steps
 of --dt, and the flock holds if sigma_U < 1e-4 at --t-max: the paper's criterion, not the verdict
 of metrics. Bisection to --resolution.
 fly: by the same protocol, flown over ROS 2 by the birds' nodes: a grid of --points span ratios for
 each modified bird, all of them members of one flight. An end lies half way between two of them.
+Limits of thrust are exact only: --method integrate and fly are for span ratios.
 If the flock is its own mirror image, only birds of the left wing are modified. --dt and --t-max are
 for integrate and fly; --perturb has no effect; all links have to be exact.
 An end outside the searched interval is printed as "below" or "above" it, and is null in JSON.
@@ -83,6 +89,8 @@ Exit status: 0, whether limits exist or not; 1 a flight failed; 2 bad input."""
 EXAMPLES = """\
   ./flock limits --birds 13 --output limits.png
   ./flock limits --coupling all --json | jq '.limits[0]'
+  ./flock limits --of thrust --output thrust.png
+  ./flock limits --of thrust --span-ratio 3=1.05 --bird 2,3 --between 0.8,1.3
   ./flock limits --method integrate --t-max 1e5 --resolution 1e-3
   ./flock limits --method integrate --t-max 1e5 --scheduler tcp://127.0.0.1:8786
   ./flock limits --method fly --t-max 1e5 --processes 2"""
@@ -92,6 +100,7 @@ def tool(arguments: Sequence[str]) -> int:
     """Find the limits and print them."""
     options = _parser().parse_args(arguments)
     _check_method(options)
+    _check_quantity(options)
     configuration = _flock(options)
     birds = _birds(options, configuration)
     low, high = _between(options)
@@ -103,6 +112,7 @@ def tool(arguments: Sequence[str]) -> int:
     facts = {
         "birds": configuration.birds,
         "coupling": configuration.coupling,
+        "of": options.of,
         "method": options.method,
         "limits": [as_json(limits, options.method != "exact") for limits in found],
         "between": [low, high],
@@ -115,7 +125,8 @@ def tool(arguments: Sequence[str]) -> int:
     if options.output is not None:
         from flock_tools.figures.limits import draw_limits  # matplotlib takes 0.5 s to import
 
-        write_picture(draw_limits(found, configuration, low, high), options.output)
+        drawn = draw_limits(found, configuration, low, high, options.of)
+        write_picture(drawn, options.output)
         if not options.json:
             print(f"drawn: {options.output}")
     return 0
@@ -125,6 +136,12 @@ def _parser() -> Parser:
     parser = Parser("limits", DESCRIPTION, EXAMPLES)
     add_flock_options(parser)
     limits = parser.add_argument_group("limits")
+    limits.add_argument(
+        "--of",
+        metavar="|".join(QUANTITIES),
+        default="span",
+        help="what of a bird is modified: its span ratio, or its thrust (span)",
+    )
     limits.add_argument(
         "--method", metavar="|".join(METHODS), default="exact", help="how limits are found (exact)"
     )
@@ -136,8 +153,8 @@ def _parser() -> Parser:
     limits.add_argument(
         "--between",
         metavar="LO,HI",
-        default=BETWEEN,
-        help=f"interval of span ratios that is searched ({BETWEEN})",
+        help=f"interval that is searched: of lambda ({BETWEEN['span']}), or of T/T_0 "
+        f"({BETWEEN['thrust']})",
     )
     limits.add_argument(
         "--resolution",
@@ -189,10 +206,11 @@ def _found(
     from flock_sim.physics.flock import Flock
     from flock_sim.theory.equilibrium import equilibrium
     from flock_sim.theory.span_limits import exact_limits
+    from flock_sim.theory.thrust_limits import exact_thrust_limits
 
     warm_equilibrium(configuration.coupling)
     begun = time.perf_counter()
-    found = exact_limits(*searched)
+    found = (exact_limits if options.of == "span" else exact_thrust_limits)(*searched)
     seconds = time.perf_counter() - begun
     as_given = bool(equilibrium(Flock.of(configuration)).exists[0])
     return found, {"seconds": seconds, "as_given": as_given}
@@ -208,6 +226,17 @@ def _check_method(options: argparse.Namespace) -> None:
                 f"--{name} is for --method {' and '.join(methods)}: leave it out with "
                 f"{options.method}"
             )
+
+
+def _check_quantity(options: argparse.Namespace) -> None:
+    """Raise FlockError on an unknown quantity, or on one whose limits can only be computed."""
+    if options.of not in QUANTITIES:
+        raise FlockError(f"--of {shown(options.of)}: {nearest(options.of, QUANTITIES)}")
+    if options.of != "span" and options.method != "exact":
+        raise FlockError(
+            f"--method {options.method} is for --of span: limits of {options.of} are exact; leave "
+            "--method out"
+        )
 
 
 def _points(options: argparse.Namespace, default: str) -> int:
@@ -254,11 +283,17 @@ def _birds(options: argparse.Namespace, configuration: FlockConfiguration) -> li
 
 
 def _between(options: argparse.Namespace) -> tuple[float, float]:
-    low, high = two_numbers(options.between)
-    if not 0.0 < low < high < math.inf:
+    usual = BETWEEN[options.of]
+    text = usual if options.between is None else options.between
+    low, high = two_numbers(text)
+    if options.of == "thrust":
+        allowed, ratios, least = low >= 0.0, "ratios T/T_0", "0 <= LO"
+    else:
+        allowed, ratios, least = low > 0.0, "span ratios", "0 < LO"
+    if not (allowed and low < high < math.inf):
         raise FlockError(
-            f"--between {shown(options.between)}: must be two span ratios LO,HI with 0 < LO < HI, "
-            f"such as {BETWEEN}"
+            f"--between {shown(text)}: must be two {ratios} LO,HI with {least} < HI, such as "
+            f"{usual}"
         )
     return low, high
 

@@ -5,10 +5,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.theory.limit_search import NO_GAP, End, Limits
+
+
+class _Words(NamedTuple):
+    """How the modified quantity is called."""
+
+    modified: str
+    ratios: str
+    value: str
+    present: str
+
+
+WORDS = {
+    "span": _Words("one modified", "the span ratios", "span ratio", "its ratios"),
+    "thrust": _Words("the thrust of one changed", "the ratios T/T_0", "thrust", "T_0"),
+}
 
 
 def as_json(limits: Limits, tried: bool) -> dict[str, Any]:
@@ -31,9 +46,10 @@ def as_json(limits: Limits, tried: bool) -> dict[str, Any]:
 def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     """Return the limits as text."""
     low, high = facts["between"]
+    words = WORDS[facts["of"]]
     lines = [
-        f"{facts['birds']} birds, {facts['coupling']} coupling, one modified: the span ratios from "
-        f"{low:g} to {high:g} that keep the formation",
+        f"{facts['birds']} birds, {facts['coupling']} coupling, {words.modified}: {words.ratios} "
+        f"from {low:g} to {high:g} that keep the formation",
     ]
     digits = 12 if facts["method"] == "exact" else 2 - round(math.log10(facts["resolution"]))
     width = digits + 3
@@ -41,7 +57,7 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
     for limits in found:
         searched = limits.searched
         if limits.never or searched is None:
-            lines.append(f"  {limits.bird:4}   none: no such span ratio of this bird was found")
+            lines.append(f"  {limits.bird:4}   none: no such {words.value} of this bird was found")
             continue
         ends = [
             f"{end.ratio:<{width}.{digits}f}  {_opens(end):<5}"
@@ -54,9 +70,12 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
         ]
         lines.append(f"  {limits.bird:4}   {'   '.join(ends)}")
     lines += [_shortened(limits, high) for limits in found if _is_shortened(limits, low)]
+    if facts["of"] == "thrust":
+        lines += [_gliding(limits.bird) for limits in found if _can_glide(limits)]
     if not facts["as_given"]:
         lines.append(
-            "the flock as given can't fly in formation: intervals are those nearest to its ratios"
+            "the flock as given can't fly in formation: intervals are those nearest to "
+            f"{words.present}"
             if facts["method"] == "exact"
             else f"the flock as given has sigma_U >= {STABLE_BELOW:g} at t = {facts['t_max']:g}: "
             "intervals are those nearest to its ratios; it may settle in a longer flight (--t-max)"
@@ -67,6 +86,17 @@ def described(found: Sequence[Limits], facts: dict[str, Any]) -> str:
 
 def _is_shortened(limits: Limits, low: float) -> bool:
     return limits.searched is None or limits.searched[0] > low
+
+
+def _can_glide(limits: Limits) -> bool:
+    """Return whether the interval of a bird's thrust reaches down to 0."""
+    return bool(limits.searched and limits.searched[0] == 0.0 and not limits.lower) and (
+        not limits.never
+    )
+
+
+def _gliding(bird: int) -> str:
+    return f"bird {bird}: keeps the formation without any thrust"
 
 
 def _shortened(limits: Limits, high: float) -> str:

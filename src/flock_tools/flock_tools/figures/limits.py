@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figure 4 of the paper: the span ratios of one bird that keep the formation."""
+"""The stability diagram: the ratios of one bird that keep the formation (Fig. 4 of the paper)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -27,6 +27,20 @@ from flock_tools.figures.style import (
     flock_name,
 )
 from flock_tools.figures.table import Table
+
+
+class Quantity(NamedTuple):
+    """How a figure names the ratio that is modified."""
+
+    axis: str
+    equal: str
+    """A ratio of 1."""
+
+
+QUANTITIES = {
+    "span": Quantity("span ratio $\\lambda$", "$\\lambda=1$"),
+    "thrust": Quantity("thrust ratio $T/T_0$", "$T=T_0$"),
+}
 
 MOST_IN_COLUMN = 9
 """Largest number of birds in one column, with the gaps named at their ends."""
@@ -68,15 +82,19 @@ def limits_table(limits: Sequence[Limits], configuration: FlockConfiguration) ->
 
 
 def draw_limits(
-    limits: Sequence[Limits], configuration: FlockConfiguration, low: float, high: float
+    limits: Sequence[Limits],
+    configuration: FlockConfiguration,
+    low: float,
+    high: float,
+    of: str = "span",
 ) -> Figure:
-    """Return the stability diagram: for each bird the interval of lambda that keeps the formation.
+    """Return the stability diagram: for each bird the interval of a ratio that keeps the formation.
 
-    `limits` are of birds of `configuration`, a flock of one member, searched in [low, high]. If all
-    ends lie close together, a second panel enlarges them. Each end is named by the gap that opens
-    beyond it.
+    `limits` are of birds of `configuration`, a flock of one member, searched in [low, high]; `of`
+    is the key of the ratio in QUANTITIES. If all ends lie close together, a second panel enlarges
+    them. Each end is named by the gap that opens beyond it.
     """
-    diagram = _Diagram(limits, configuration, low, high)
+    diagram = _Diagram(limits, configuration, low, high, of)
     panels = diagram.panels()
     width = COLUMN if len(limits) <= MOST_IN_COLUMN else PAGE
     heights = (1.7, 2.3) if len(panels) == 2 else (2.5,)
@@ -104,15 +122,18 @@ def draw_limits(
 
 @dataclass(frozen=True)
 class _Diagram:
-    """The content of a stability diagram. Its panels show different ranges of lambda."""
+    """The content of a stability diagram. Its panels show different ranges of the ratio."""
 
     limits: Sequence[Limits]
     configuration: FlockConfiguration
     low: float
     high: float
+    of: str
 
     def present(self, limits: Limits) -> float:
-        """Return the present lambda of the bird."""
+        """Return the present ratio of the bird."""
+        if self.of == "thrust":
+            return 1.0
         return float(self.configuration.span_ratio[limits.bird - 1, 0])
 
     @property
@@ -127,7 +148,7 @@ class _Diagram:
         return len(self.limits) > MOST_UPRIGHT
 
     def panels(self) -> list[tuple[float, float]]:
-        """Return the ranges of lambda that are shown: the searched range, and that of all ends.
+        """Return the ranges of the ratio that are shown: the searched range, and that of all ends.
 
         The second range is only returned if it is small enough. The last range has room for names.
         """
@@ -150,7 +171,7 @@ class _Diagram:
         axes.set(
             xlim=(min(birds) - 0.7, max(birds) + 0.7),
             ylim=(bottom, top),
-            ylabel="span ratio $\\lambda$",
+            ylabel=QUANTITIES[self.of].axis,
         )
         if len(birds) <= MOST_UPRIGHT:
             axes.set_xticks(birds)
@@ -161,7 +182,7 @@ class _Diagram:
         if bottom <= 1.0 <= top:
             axes.axhline(1.0, color=FAINT, linewidth=0.8, linestyle=(0, (4, 2)), zorder=1)
             axes.annotate(
-                "$\\lambda=1$",
+                QUANTITIES[self.of].equal,
                 (1.0, 1.0),
                 xytext=(2, 0),
                 xycoords=("axes fraction", "data"),
@@ -188,18 +209,26 @@ class _Diagram:
         axes.plot([found.bird] * 2, shown, linewidth=self._thickness, solid_capstyle="butt", **red)
         sides = ((first, shown[0], found.lower, "v"), (last, shown[1], found.upper, "^"))
         for ratio, place, end, mark in sides:
-            if end is None and place == ratio and self.low < ratio < self.high:
-                continue  # the search ended here, since vortices would meet beyond
+            if end is None and place == ratio and self._is_bound(ratio):
+                continue
             if end is None or place != ratio:
                 axes.plot(found.bird, place, mark, markersize=4, markeredgewidth=0, **red)
             else:
                 axes.plot(found.bird, ratio, "_", markersize=2.5 * self._thickness, **red)
 
+    def _is_bound(self, ratio: float) -> bool:
+        """Return whether a search that ended at `ratio` leaves nothing beyond.
+
+        Vortices would meet if it ended within the requested range, and no bird has less thrust
+        than none.
+        """
+        return self.low < ratio < self.high or (self.of == "thrust" and ratio == 0.0)
+
     def _extends(self, found: Limits) -> bool:
-        """Return whether the interval of a bird reaches an end of the requested range."""
+        """Return whether the interval of a bird extends beyond the requested range."""
         low, high = found.searched or (self.low, self.high)
-        return (found.lower is None and low <= self.low) or (
-            found.upper is None and high >= self.high
+        return (found.lower is None and not self._is_bound(low)) or (
+            found.upper is None and not self._is_bound(high)
         )
 
     @property
