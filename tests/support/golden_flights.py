@@ -185,6 +185,46 @@ FLIGHTS: Mapping[str, FlockConfiguration] = {
         t_max=150,
         links=["4->1=linear:interval=20,delay=15,position_noise=0.1,seed=77"],
     ),
+    "forces that are functions of time": _flight(
+        birds=5,
+        dt=0.7,
+        t_max=140,
+        forcing=[
+            "constant:force=1e-4/-2e-4/0",
+            "4=sine:amplitude=1e-3/1e-3/2e-3,period=37/40/2.5,phase=0/0.25/0.7",
+            "2=constant:force=3e-5",
+            "1=sine:amplitude=1e-4,period=50",
+        ],
+    ),
+    "gaps that are kept": _flight(
+        birds=6,
+        t_max=200,
+        span_ratios=["5=0.97"],
+        forcing=[
+            "keeper:gap=0.8/0.5,stiffness=0.02/5e-3",
+            "1=keeper:gap=2,stiffness=1e-3,damping=0/1",
+        ],
+        perturbations=["6@50=-1"],
+    ),
+    "gaps that are kept over links": _flight(
+        birds=5,
+        coupling="all",
+        t_max=150,
+        links=["hold:interval=3,delay=2,drop=0.3,noise=1e-3,timeout=9,seed=4"],
+        forcing=["keeper:gap=0.5,stiffness=0.01"],
+    ),
+    "gusts": _flight(
+        birds=5,
+        dt=0.5,
+        t_max=100,
+        forcing=["gust:std=1e-3/2e-3/2e-3,seed=7/7/9", "gust:std=1e-4", "3=gust:std=5e-3,seed=7"],
+    ),
+    "gusts with memory": _flight(
+        birds=7,
+        t_max=200,
+        span_ratios=["2=1,1.02"],
+        forcing=["gust:std=1e-3,time=20/0.3,seed=1", "5=gust:std=2e-3,time=1e6,seed=2"],
+    ),
 }
 """Each golden flight by its name."""
 

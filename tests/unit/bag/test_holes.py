@@ -85,7 +85,7 @@ WHOLE = [(row.step, bird, data) for row in ROWS for bird, data in enumerate(row.
 
 def resumed(path: Path) -> Resumable:
     """Return what `fly --resume` makes of a bag."""
-    options = argparse.Namespace(**dict.fromkeys(EXCLUDED))
+    options = argparse.Namespace(**dict.fromkeys([*EXCLUDED, "law"]))
     with resumable(path.parent, options) as found:
         return found
 

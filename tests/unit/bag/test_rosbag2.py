@@ -61,6 +61,7 @@ def test_rosbags_deserialises_every_message_by_the_embedded_definitions(tmp_path
                 interaction_drag=members * 2,
                 mean_speed=members * 3,
                 mean_interaction_drag=members[:1],
+                forcing_state=members[:2],
                 run_id=0,
                 epoch=0,
             )

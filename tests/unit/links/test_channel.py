@@ -32,6 +32,8 @@ class Source:
         self.next = 0
         """The tick that has not been heard."""
         self.own = np.full(self.members, own)
+        self.speed = np.full(self.members, np.nan)
+        """The speed that was known at the last tick."""
 
     def at(self, step: int, stage: int = 0) -> float:
         return SPEED * (step + (0.0, 0.5, 0.5, 1.0)[stage]) * self.dt
@@ -57,6 +59,7 @@ class Source:
             self.own,
             self.memory,
             result[0],
+            self.speed,
             result[1],
         )
         return result
@@ -71,6 +74,15 @@ def test_exact_knows_what_is_said_at_this_stage():
     for step in range(3):
         for stage in range(STAGES):
             assert source.known(step, stage)[0] == source.at(step, stage)
+
+
+@pytest.mark.parametrize("model", ["exact", "exact:delay=1", "hold:interval=2", "linear"])
+def test_the_speed_is_that_of_the_last_message(model) -> None:
+    source = Source(model)
+    for step in range(6):
+        known = source.known(step, 2)
+        assert source.speed == (SPEED if known[1] else 0.0)
+    assert source.speed == SPEED
 
 
 def test_exact_that_is_late_knows_the_same_stage_of_an_earlier_step():

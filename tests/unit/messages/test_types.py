@@ -78,6 +78,7 @@ def test_layout_of_a_state():
         np.array([4.0]),
         np.array([5.0]),
         np.array([6.0]),
+        np.array([7.0, 8.0]),
         8,
         9,
     )
@@ -100,8 +101,10 @@ def test_layout_of_a_state():
         (112, "d", 5.0),
         (120, "I", 1),
         (128, "d", 6.0),
-        (136, "Q", 8),
-        (144, "I", 9),
+        (136, "I", 2),
+        (144, "2d", 7.0, 8.0),
+        (160, "Q", 8),
+        (168, "I", 9),
     )
     assert message.encode() == expected
 
@@ -153,16 +156,25 @@ def test_layout_of_a_checkpoint():
         (68, "5s", b"text\0"),
         (76, "I", 1),
         (80, "d", 5.0),
+        (88, "I", 1),
+        (96, "d", 6.0),
     )
     message = Checkpoint(
-        7, 40, 2, np.array([1.0, 2.0]), np.array([3.0, 4.0]), "text", np.array([5.0])
+        7,
+        40,
+        2,
+        np.array([1.0, 2.0]),
+        np.array([3.0, 4.0]),
+        "text",
+        np.array([5.0]),
+        np.array([6.0]),
     )
     assert message.encode() == expected
 
 
 def test_layout_of_the_checkpoint_of_a_start():
     expected = laid_out(
-        (0, "Q", 7), (8, "Q", 0), (16, "I", 2), (20, "3I", 0, 0, 1), (32, "x"), (36, "I", 0)
+        (0, "Q", 7), (8, "Q", 0), (16, "I", 2), (20, "3I", 0, 0, 1), (32, "x"), (36, "2I", 0, 0)
     )
     assert Checkpoint.of_start(7, 2).encode() == expected
 
@@ -245,7 +257,10 @@ def test_the_length_of_a_state_is_known_beforehand(members):
     some = np.ones(members)
     state = State.at(FlockConfiguration(), 0, *6 * [some])
     assert State.lengths(members).size == len(state.encode())
-    assert State.lengths(members).unpack(state.encode()) == 6 * (members,)
+    assert State.lengths(members).unpack(state.encode()) == (*6 * (members,), 0)
+    forced = replace(state, forcing_state=np.ones(3 * members)).encode()
+    assert State.lengths(members, 3 * members).size == len(forced)
+    assert State.lengths(members, 3 * members).unpack(forced) == (*6 * (members,), 3 * members)
 
 
 @pytest.mark.parametrize("length", [0, 4, 27, 35])

@@ -17,6 +17,7 @@ SOURCES = Path(__file__).parents[3] / "src"
 
 FLOWN = (
     "flock_sim/flock_sim/configuration",
+    "flock_sim/flock_sim/forcing",
     "flock_sim/flock_sim/links",
     "flock_sim/flock_sim/messages",
     "flock_sim/flock_sim/physics",

@@ -68,7 +68,16 @@ def test_the_kernels_of_a_bird_are_loaded_before_processes_are_forked() -> None:
     )
     # These are called by other kernels only.
     inner = {"has_header", "put_header", "row", "_finite", "_lack", "pointer"}
-    inner |= {"canonical", "circulation_at", "compute_drags", "drag_of_pair", "move", "sum_up"}
+    inner |= {
+        "_add_force",
+        "compute_force",
+        "canonical",
+        "circulation_at",
+        "compute_drags",
+        "drag_of_pair",
+        "move",
+        "sum_up",
+    }
     assert set(python(script).split()) <= inner
 
 

@@ -83,7 +83,7 @@ def test_on_fresh_news_it_flies_as_the_reference_does_to_the_bit(link: str, coup
             out = bird.tick(BEGIN + 10.0 * row.step)
             (data,) = of(Channel.STATE, out)
             values = tuple(getattr(row, name)[number - 1] for name in ARRAYS)
-            assert data == State.at(flown, row.step, *values, RUN, EPOCH).encode()
+            assert data == State.at(flown, row.step, *values, run_id=RUN, epoch=EPOCH).encode()
             # Neighbours hear of every step; of the first, they have heard before the flight.
             heard = [said(number, row.step, values[:3])] if row.step else []
             assert of(Channel.STAGE, out) == heard

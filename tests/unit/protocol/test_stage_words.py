@@ -39,6 +39,7 @@ FLOCK = FlockConfiguration(
     record_every=7,
     span_ratios=("2=0.98,1.01",),
     perturbations=("2@9=0.1,-0.02", "2@14=0,0.01"),
+    forcing=("gust:std=1e-3,time=3,seed=1/2", "2=keeper:gap=0.5,stiffness=0.01"),
 )
 
 
@@ -63,7 +64,7 @@ class Flown:
         while words[TICK] < words[END] and not words[LACKING + words[SIDE]]:
             own = self.bird._motion
             arrays = own._own, own._interactions, self.bird._inbox.heard, own._mine, own._work
-            feel_and_move(words[TICK], FLOCK.dt, words[EVERY], *arrays)
+            feel_and_move(words[TICK], FLOCK.dt, words[EVERY], *arrays, own._forcing_words)
             words[TICK] += 1
             turn(words, words[TICK] + 1)
             say(words)
@@ -160,8 +161,6 @@ def test_a_released_bird_has_no_fast_path() -> None:
 def test_birds_that_do_more_at_a_stage_have_no_fast_path() -> None:
     linked = FlockConfiguration(birds=3, links=("hold:interval=3",))
     assert not BirdProtocol(2, linked).only_exchanges
-    steered = BirdProtocol(2, FLOCK, control=lambda view: np.zeros(2))
-    assert not steered.only_exchanges
 
 
 def test_no_message_is_taken_before_the_epoch_begins() -> None:

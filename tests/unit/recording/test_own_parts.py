@@ -142,7 +142,7 @@ def test_where_it_is_not_registered_the_error_names_the_model_and_the_fix(
 def test_a_bag_from_before_names_a_model_that_is_registered_here(
     tmp_path: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr("flock_sim.recording.flight_bag.link_model_records", lambda _: {})
+    monkeypatch.setattr("flock_sim.recording.flight_bag.own_records", lambda _: {})
     with Run(with_model(tmp_path / "run")) as run:
         assert run.own_parts == [FROZEN]
 

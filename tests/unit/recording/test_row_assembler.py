@@ -275,7 +275,7 @@ def test_a_state_whose_arrays_have_other_lengths_is_left_out() -> None:
     assembler = RowAssembler(flock)
     assembler.begin(7, 1)
     arrays = [np.ones(length) for length in (1, 3, 2, 2, 2, 2)]  # as long as six of two in all
-    wrong = State.at(flock, 0, *arrays, 7, 1).encode()
+    wrong = State.at(flock, 0, *arrays, run_id=7, epoch=1).encode()
     assert len(wrong) == State.lengths(2).size
     assert assembler.add_state(1, wrong) == []
     assert assembler.ignored_for == {MISSHAPEN: 1}

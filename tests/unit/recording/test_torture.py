@@ -68,7 +68,7 @@ def assert_whole(bag: Path) -> None:
 
 def resume(bag: Path) -> None:
     """Do as `fly --resume`. Raises FlockError as that does."""
-    with resumable(bag, argparse.Namespace(**dict.fromkeys(EXCLUDED))) as found:
+    with resumable(bag, argparse.Namespace(**dict.fromkeys([*EXCLUDED, "law"]))) as found:
         if not found.complete:
             with recording(bag, FLOWN, grants=True, resume=True) as run:
                 fly_on(run)

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from flock_sim.configuration.flock_configuration import KEYS
+from flock_sim.forcing.registry import BUILT_IN as FORCING
+from flock_sim.forcing.settings import Settings
 from flock_sim.links.keys import BOTH, INTERVAL, NUMBERS
 from flock_sim.links.keys import KEYS as LINK_KEYS
 from flock_sim.links.registry import BUILT_IN, MODELS
@@ -65,6 +67,26 @@ def test_golden_flights_use_each_key_of_a_link(key: str) -> None:
     }
     assert values - {NUMBERS[single].default for single in BOTH.get(key, (key,))}
     assert key == INTERVAL or any(SEPARATOR in items.get(key, "") for items in given)
+
+
+def forcing_entries() -> Iterable[Settings]:
+    return (entry for flight in FLIGHTS.values() for entry in flight.forcing_table.entries)
+
+
+@pytest.mark.parametrize("name", FORCING)
+def test_golden_flights_use_each_forcing_model_and_each_of_its_keys(name: str) -> None:
+    used = [dict(entry.items) for entry in forcing_entries() if entry.name == name]
+    for key, bounds in FORCING[name].keys.items():
+        words = [items[key] for items in used if key in items]
+        values = {float(value) for text in words for value in text.split(SEPARATOR)}
+        assert values - {bounds.default}, key
+        assert any(SEPARATOR in text for text in words), key
+        # A key that may be left out is left out by an entry.
+        assert key in FORCING[name].required or len(words) < len(used), key
+
+
+def test_golden_flights_force_single_birds_and_all() -> None:
+    assert {entry.bird is None for entry in forcing_entries()} == {False, True}
 
 
 def test_golden_flights_use_each_form_of_links_spans_and_pushes() -> None:

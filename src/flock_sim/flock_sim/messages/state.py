@@ -39,7 +39,10 @@ ARRAYS = (
 """The fields of a state that have one value per member, in the order of the message."""
 
 VALUES, MEANS = ARRAYS[:4], ARRAYS[4:]
-"""The values at the time of a state, and the means that states of earlier versions lack."""
+"""The values at the time of a state, and the means.
+
+States of earlier versions lack the means and `forcing_state`.
+"""
 
 NOTHING = np.empty(0)
 
@@ -49,8 +52,8 @@ class State(Message):
     """BirdState: a bird at the beginning of a step; arrays of shape (members,), dimensionless.
 
     The means are over all steps since the last recorded state, this step included. A state that was
-    recorded by an earlier version has none: they are empty. `forcing_state` has shape
-    (numbers * members,): the state of the laws that act on the bird.
+    recorded by an earlier version has neither these nor `forcing_state`: they are empty.
+    `forcing_state` has shape (numbers * members,): the state of the laws that act on the bird.
     """
 
     TYPE: ClassVar[str] = "flock_interfaces/msg/BirdState"
@@ -76,17 +79,13 @@ class State(Message):
         try:
             return cls(*cls.values_in(data, cls.KINDS))
         except ValueError:
-            for arrays in (len(ARRAYS), len(VALUES)):
-                missing = len(ARRAYS) - arrays + 1
-                kinds = [*cls.KINDS[: -missing - 2], *cls.KINDS[-2:]]
-                try:
-                    *values, run_id, epoch = cls.values_in(data, kinds)
-                except ValueError:
-                    continue
-                early = cls(*[*values, *missing * [NOTHING], run_id, epoch])
-                if len(data) == cls.lengths(len(early.position), arrays, None).size:
-                    return early
-            raise
+            missing = len(MEANS) + 1  # and forcing_state
+            kinds = [*cls.KINDS[: -missing - 2], *cls.KINDS[-2:]]
+            *values, run_id, epoch = cls.values_in(data, kinds)
+            early = cls(*[*values, *missing * [NOTHING], run_id, epoch])
+            if len(data) != cls.early_lengths(len(early.position)).size:
+                raise
+            return early
 
     @staticmethod
     def step_of(data: bytes) -> int:
@@ -94,15 +93,19 @@ class State(Message):
         return step_at(State, data, STATE_STEP_AT)
 
     @staticmethod
-    def lengths(members: int, arrays: int = len(ARRAYS), forcing: int | None = 0) -> struct.Struct:
+    def lengths(members: int, forcing: int = 0) -> struct.Struct:
         """Return the struct that reads the array lengths of an encoded state of `members`.
 
-        A state without means has fewer `arrays`: those of VALUES. `forcing` is the length of
-        `forcing_state`; states of earlier versions have no such field: None.
+        `forcing` is the length of `forcing_state`.
         """
-        array = f"I{STATE_NUMBERS_AT - 4}x{8 * members}x"
-        last = "" if forcing is None else f"I{STATE_NUMBERS_AT - 4}x{8 * forcing}x"
-        return struct.Struct(f"<{STATE_HEAD}x{array * arrays}{last}{STATE_ENVELOPE.size}x")
+        arrays = len(ARRAYS) * _array(members) + _array(forcing)
+        return struct.Struct(f"<{STATE_HEAD}x{arrays}{STATE_ENVELOPE.size}x")
+
+    @staticmethod
+    def early_lengths(members: int) -> struct.Struct:
+        """Do the same for a state of an earlier version, without means and forcing state."""
+        arrays = len(VALUES) * _array(members)
+        return struct.Struct(f"<{STATE_HEAD}x{arrays}{STATE_ENVELOPE.size}x")
 
     @staticmethod
     def envelope(data: bytes) -> tuple[int, int]:
@@ -164,6 +167,11 @@ class State(Message):
             )
             for i in range(configuration.birds)
         ]
+
+
+def _array(length: int) -> str:
+    """Return the format of an array whose length is read and whose numbers are skipped."""
+    return f"I{STATE_NUMBERS_AT - 4}x{8 * length}x"
 
 
 _ONE = np.zeros(1)

@@ -32,15 +32,25 @@ class Layout:
     """The lengths of the arrays of a state."""
 
     members: int
-    arrays: int = len(ARRAYS)
-    """Number of arrays with one value per member; earlier versions had no means."""
     forcing: int | None = 0
-    """Length of `forcing_state`; None: a state of an earlier version, without this field."""
+    """Length of `forcing_state`; None: of an earlier version, without means and this field."""
+
+    @property
+    def arrays(self) -> int:
+        """Number of arrays with one value per member."""
+        return len(VALUES if self.forcing is None else ARRAYS)
+
+    @property
+    def lengths(self) -> struct.Struct:
+        """The struct that reads the array lengths."""
+        if self.forcing is None:
+            return State.early_lengths(self.members)
+        return State.lengths(self.members, self.forcing)
 
     @property
     def size(self) -> int:
         """Size of the state, in bytes."""
-        return State.lengths(self.members, self.arrays, self.forcing).size
+        return self.lengths.size
 
 
 def layout_of(data: bytes) -> Layout | None:
@@ -50,13 +60,14 @@ def layout_of(data: bytes) -> Layout | None:
     if len(data) < STATE_HEAD + _COUNT.size:
         return None
     (members,) = _COUNT.unpack_from(data, STATE_HEAD)
-    at = STATE_HEAD + len(ARRAYS) * (STATE_NUMBERS_AT + 8 * members)
-    forcing = _COUNT.unpack_from(data, at)[0] if len(data) >= at + _COUNT.size else 0
-    for layout, lengths in _layouts(len(data), members, forcing):
-        found = lengths.unpack(data)
-        if set(found[: layout.arrays]) == {members} and found[layout.arrays :] in ((), (forcing,)):
-            return layout
-    return None
+    found = _layout(len(data), members)
+    if found is None:
+        return None
+    layout, lengths = found
+    expected = layout.arrays * (members,)
+    if layout.forcing is not None:
+        expected += (layout.forcing,)
+    return layout if lengths.unpack(data) == expected else None
 
 
 def members_of(data: bytes) -> int:
@@ -67,24 +78,20 @@ def members_of(data: bytes) -> int:
 
 def has_means(data: bytes, members: int) -> bool:
     """Whether a state whose `members_of` is `members` has means; earlier versions had none."""
-    return len(data) != Layout(members, len(VALUES), None).size
+    return len(data) != Layout(members, None).size
 
 
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layouts(size: int, members: int, forcing: int) -> list[tuple[Layout, struct.Struct]]:
-    """Return the layouts of `size` bytes that a state may have, each with its `State.lengths`."""
-    if not 0 < 8 * members < size or not 8 * forcing < size:
-        return []
-    layouts = (
-        Layout(members, len(ARRAYS), forcing),
-        Layout(members, len(ARRAYS), None),
-        Layout(members, len(VALUES), None),
-    )
-    return [
-        (one, State.lengths(one.members, one.arrays, one.forcing))
-        for one in layouts
-        if one.size == size
-    ]
+def _layout(size: int, members: int) -> tuple[Layout, struct.Struct] | None:
+    """Return the layout that a state of `size` bytes and `members` has; None if there is none."""
+    if not 0 < 8 * members < size:
+        return None
+    early = Layout(members, None)
+    forcing, rest = divmod(size - Layout(members).size, 8)
+    if size != early.size and (rest or forcing < 0):
+        return None
+    layout = early if size == early.size else Layout(members, forcing)
+    return layout, layout.lengths
 
 
 def same_head(one: bytes, other: bytes) -> bool:

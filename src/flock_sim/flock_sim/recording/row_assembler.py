@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.messages.state import ARRAYS
 from flock_sim.messages.state_layout import Layout, layout_of
 from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time
 from flock_sim.physics.runge_kutta import STAGES
@@ -196,7 +195,7 @@ class RowAssembler:
 
     def _fits(self, layout: Layout) -> bool:
         """Whether a state has all arrays, and as many numbers of forcing as the flight."""
-        if layout.arrays != len(ARRAYS) or layout.forcing is None:
+        if layout.forcing is None:
             return False
         numbers, rest = divmod(layout.forcing, self._members)
         return not rest and self._numbers in (None, numbers)

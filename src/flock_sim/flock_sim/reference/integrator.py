@@ -141,7 +141,7 @@ class Reference:
                 distance = formation.lateral_distance(flock.span_ratio[low - 1 : high])
                 one.lateral[:, k] = distance if other > bird else -distance
             if len(links):
-                one.words[FIRST_LINK] = np.searchsorted(links[:, TARGET], bird)
+                one.words[FIRST_LINK] = np.flatnonzero(links[:, TARGET] == bird)[0]
             forced.append(one)
         words = np.zeros((birds, max(len(one.words) for one in forced)), dtype=np.int64)
         for row, one in zip(words, forced, strict=True):
