@@ -178,13 +178,12 @@ def test_repair_keeps_what_is_behind_a_hole_and_names_the_steps(
             tear(flight)
         output = tmp_path / f"repaired{number}"
         found = json_of(tool, capsys, str(flight.parent), "--output", str(output))
-        lost = [
-            step
-            for step in STEPS
-            if hurt.message_start_time <= CONFIGURATION.stamp(step) <= hurt.message_end_time
-        ]
+        # The first and the last step of a chunk may have all their states in other chunks.
+        first, last = hurt.message_start_time, hurt.message_end_time
+        hit = [step for step in STEPS if first <= CONFIGURATION.stamp(step) <= last]
+        lost = found["missing_steps"]
         assert lost
-        assert found["missing_steps"] == lost
+        assert lost in (hit, hit[1:], hit[:-1], hit[1:-1])
         assert f"is damaged at byte {hurt.chunk_start_offset}" in found["broken"]
         assert states(output) == [state for state in WHOLE if state[0] not in lost]
         with recording(output, CONFIGURATION, grants=True, resume=True) as run:

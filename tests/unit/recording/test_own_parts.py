@@ -121,22 +121,34 @@ def test_a_flight_with_a_registered_model_is_repeated_where_it_is_registered(
         assert repeated.own_parts == [FROZEN]
 
 
-@pytest.mark.parametrize("tool", [reference.tool, metrics.tool, compare.tool, report.tool])
-def test_where_it_is_not_registered_the_error_names_the_model_and_the_fix(
-    tool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_where_it_is_not_registered_the_bag_is_read_and_its_flight_not_repeated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, output = str(with_model(tmp_path / "run")), ["--output", str(tmp_path / "again")]
     forget_models()
-    arguments = {
-        reference.tool: ["--repeat", run, *output],
-        compare.tool: [run, run],
-        report.tool: [run, *output],
-    }
-    error = error_of(tool, capsys, *arguments.get(tool, [run]))
+    assert run_tool(metrics.tool, [run, "--json"]) == 0
+    assert '"own_parts": ["link model frozen"]' in capsys.readouterr().out
+    assert "equal bit for bit" in text_of(compare.tool, capsys, run, run)
+    assert "link model frozen" in page(Path(run), capsys)
+    error = error_of(reference.tool, capsys, "--repeat", run, *output)
+    assert "link model 'frozen': only its name is known, from a bag: register it first" in error
+    assert not (tmp_path / "again").exists()
+    register(LinkModel("frozen", frozen))
+    assert run_tool(reference.tool, ["--repeat", run, *output]) == 0
+    with Run(tmp_path / "again") as repeated, Run(run) as flown:
+        assert repeated.state_digest == flown.state_digest
+
+
+def test_where_nothing_but_the_name_is_recorded_the_error_names_the_model_and_the_fix(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    monkeypatch.setattr("flock_sim.recording.flight_bag.own_records", lambda _: {})
+    run = str(with_model(tmp_path / "run"))
+    forget_models()
+    error = error_of(metrics.tool, capsys, run)
     assert "its link model frozen is not in Flock" in error
     assert "register the model first" in error
     assert "not a bag" not in error
-    assert not (tmp_path / "again").exists()
 
 
 def test_a_bag_from_before_names_a_model_that_is_registered_here(

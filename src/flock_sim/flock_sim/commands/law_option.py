@@ -40,7 +40,13 @@ def load_recorded_laws(
     among `given`, or differs.
     """
     from flock_sim.forcing.own_laws import place
-    from flock_sim.recording.own_parts import law_digests
+    from flock_sim.links import installed
+    from flock_sim.links.registry import check_known
+    from flock_sim.recording.own_parts import LAW, LINK_MODEL, digests
 
-    place(law_digests(parts), given or (), where)
+    given = given or ()
+    links = installed.place(digests(parts, LINK_MODEL), given, where)
+    place(digests(parts, LAW), [text for text in given if text not in links], where)
+    table = configuration.link_table
+    check_known(settings.model for settings in table.used())
     configuration.forcing_table.check()

@@ -84,8 +84,8 @@ def _repeated(options: argparse.Namespace) -> tuple[FlockConfiguration, list[Per
     with Run(options.repeat) as run:
         if run.missing:
             note(f"note: {run.missing}; it is repeated to its planned end")
-        _check_own(run)
         load_recorded_laws(run.own_parts, run.configuration, options.law, f"--repeat {run.path}")
+        _check_own(run)
         if run.real_time_factor:
             note(
                 f"note: {options.repeat} is a free flight, which can't be repeated; this flight is "
@@ -106,7 +106,7 @@ def _check_own(run: Run) -> None:
     if models := names(run.own_parts, LINK_MODEL):
         note(
             f"note: the link model {models} of {run.path} is not in Flock; this flight uses the "
-            "one that this process has registered"
+            "one that this process has"
         )
 
 

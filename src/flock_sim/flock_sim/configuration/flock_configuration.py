@@ -110,10 +110,16 @@ class FlockConfiguration:
 
     @classmethod
     def given(cls, parameters: Mapping[str, Any]) -> FlockConfiguration:
-        """Do the same as `from_parameters` with values of the user: load the laws that they name.
+        """Do the same as `from_parameters` with values of the user.
 
-        Raises FlockError if a law can't be loaded or compiled, or one of its parameters is bad.
+        Load the laws, and the link models of installed packages, that they name. Raises FlockError
+        if one can't be loaded or compiled, or has a bad parameter.
         """
+        links = parameters.get("links", ())
+        if links and not isinstance(links, str):
+            from flock_sim.links.installed import load
+
+            load(entry for entry in links if isinstance(entry, str) and entry)
         configuration = cls.from_parameters(parameters)
         configuration.load_laws()
         return configuration

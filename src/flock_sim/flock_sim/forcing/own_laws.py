@@ -8,7 +8,6 @@ a message.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import json
 import os
@@ -24,6 +23,7 @@ from flock_sim.errors import FlockError, nearest
 from flock_sim.forcing.law import Law
 from flock_sim.forcing.models import own_model
 from flock_sim.forcing.registry import BUILT_IN, add, digests_of, model_of, own_laws
+from flock_sim.links.source_digest import digest_of_source, source_digest
 
 GROUP = "flock.forcing"
 """The group of entry points of laws in installed packages."""
@@ -57,7 +57,7 @@ def place(recorded: Mapping[str, str], given: Iterable[str], where: str) -> None
     installed packages; `where` names the bag. Raises FlockError if a law is not among them, if its
     digest differs, or if one of `given` is not of use.
     """
-    files = {text: _digest(_source(Path(text))) for text in given if text.endswith(".py")}
+    files = {text: digest_of_source(_source(Path(text))) for text in given if text.endswith(".py")}
     installed = [text for text in given if text not in files]
     used = set()
     for name, digest in recorded.items():
@@ -116,7 +116,7 @@ def _loaded(name: str) -> Any:
         path, _, function = name.rpartition(":")
         file = Path(_places().get(name, path))
         source = _source(file)
-        digest = _digest(source)
+        digest = digest_of_source(source)
         known = model_of(name)
         if known and known.digest == digest:
             return known
@@ -136,10 +136,6 @@ def _source(file: Path) -> bytes:
         raise FlockError(
             f"law file {file}: {error.strerror or error}; name a readable Python file"
         ) from error
-
-
-def _digest(source: bytes) -> str:
-    return f"sha256:{hashlib.sha256(source).hexdigest()}"
 
 
 def _run(file: Path, source: bytes, digest: str) -> ModuleType:
@@ -195,5 +191,4 @@ def _installed(name: str) -> tuple[Law, str]:
         raise FlockError(f"law {name!r} of {point.value}: {_told(error)}") from error
     if not inspect.isfunction(law):
         raise FlockError(f"law {name!r} of {point.value}: must be a function")
-    file = inspect.getsourcefile(law)
-    return law, _digest(_source(Path(file))) if file else ""
+    return law, source_digest(law)

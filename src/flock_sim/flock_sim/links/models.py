@@ -30,6 +30,10 @@ class LinkModel:
     every_stage: bool = False
     """Whether the neighbour sends at all four stages of every step, so that `perceive` gets the
     values of the present stage; otherwise it sends at stage 0 of every `interval`-th step."""
+    digest: str = ""
+    """The digest of the source of a model of an installed package, or ""."""
+    recorded: bool = False
+    """Whether only its name is known, from a bag: it can be read about, but not flown."""
 
 
 def received(

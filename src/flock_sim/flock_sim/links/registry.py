@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 from flock_sim.errors import FlockError
-from flock_sim.links.models import EXACT, HOLD, LINEAR, LinkModel, Perceive
+from flock_sim.links.models import EXACT, HOLD, LINEAR, LinkModel, Perceive, received
 
 MODELS = [
     EXACT,
@@ -30,9 +31,29 @@ def register(model: LinkModel) -> None:
     called = f"link model {model.name!r}"
     if not NAME.fullmatch(model.name):
         raise FlockError(f"{called}: must be a letter and then a-z, 0-9 or _, such as fading")
-    if model.name in [other.name for other in MODELS]:
+    names = [other.name for other in MODELS]
+    if model.name in names and not MODELS[names.index(model.name)].recorded:
         raise FlockError(f"{called} exists already: give the new one another name")
-    MODELS.append(replace(model, perceive=_compiled(called, model.perceive)))
+    compiled = replace(model, perceive=_compiled(called, model.perceive), recorded=False)
+    if model.name in names:
+        MODELS[names.index(model.name)] = compiled
+    else:
+        MODELS.append(compiled)
+
+
+def note_recorded(name: str, every_stage: bool) -> None:
+    """Note the name of a model that a bag was flown with, and that this process does not have."""
+    if name not in [model.name for model in MODELS]:
+        MODELS.append(LinkModel(name, received, every_stage, recorded=True))
+
+
+def check_known(models: Iterable[int]) -> None:
+    """Raise FlockError if only the name of one of these models, indices in MODELS, is known."""
+    for name in dict.fromkeys(MODELS[model].name for model in models if MODELS[model].recorded):
+        raise FlockError(
+            f"link model {name!r}: only its name is known, from a bag: register it first, in a "
+            "Python process that calls the tool (docs/extending.md)"
+        )
 
 
 def _compiled(called: str, function: Perceive) -> Perceive:

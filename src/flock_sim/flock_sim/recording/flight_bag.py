@@ -16,7 +16,7 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake
 from flock_sim.recording.machine import Machine
-from flock_sim.recording.own_parts import law_digests, own_records, recorded_parts
+from flock_sim.recording.own_parts import LAW, digests, own_records, recorded_parts
 
 CONFIGURATION_RECORD = "flock"
 """The MCAP metadata record that holds the configuration, each value as JSON."""
@@ -104,7 +104,7 @@ def check_grants(bag: BagReader, configuration: FlockConfiguration, factor: floa
     No CRC covers the configuration in a bag that was cut short. Messages in damaged chunks are
     skipped.
     """
-    laws = law_digests(recorded_parts(bag.records))
+    laws = digests(recorded_parts(bag.records), LAW)
     for topic, _, data in bag.salvage([]):
         if topic == topics.GRANT_TOPIC:
             try:

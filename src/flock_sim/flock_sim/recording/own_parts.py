@@ -8,13 +8,13 @@ determined by its bag.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.forcing.registry import BUILT_IN as FORCING
 from flock_sim.forcing.registry import digests_of
-from flock_sim.links.registry import BUILT_IN, MODELS
+from flock_sim.links.registry import BUILT_IN, MODELS, note_recorded
 from flock_sim.links.settings import parted
 
 if TYPE_CHECKING:
@@ -35,8 +35,10 @@ class OwnPart:
 
     kind: str
     name: str
-    digest: str = ""
-    """The digest of the source of a law; "" if it is not known."""
+    digest: str = field(default="", compare=False)
+    """The digest of the source of a law or link model; "" if it is not known."""
+    every_stage: bool | None = field(default=None, compare=False)
+    """Whether a link model needs the messages of all stages; None if it is not known."""
 
     def __str__(self) -> str:
         return f"{self.kind} {self.name}"
@@ -51,14 +53,15 @@ def own_laws(configuration: FlockConfiguration) -> list[OwnPart]:
 
 def own_link_models(configuration: FlockConfiguration) -> list[OwnPart]:
     """Return the link models in `configuration` that this process has registered."""
-    own = {model.name for model in MODELS[BUILT_IN:]}
+    own = {model.name: model for model in MODELS[BUILT_IN:] if not model.recorded}
     named = dict.fromkeys(parted(entry)[1] for entry in configuration.links)
-    return [OwnPart(LINK_MODEL, name) for name in named if name in own]
+    found = [own[name] for name in named if name in own]
+    return [OwnPart(LINK_MODEL, one.name, one.digest, one.every_stage) for one in found]
 
 
 def unknown_link_models(links: Iterable[str]) -> list[str]:
     """Return the names of the link models in `links` that this process does not have."""
-    known = {model.name for model in MODELS}
+    known = {model.name for model in MODELS if not model.recorded}
     return [
         name for name in dict.fromkeys(parted(entry)[1] for entry in links) if name not in known
     ]
@@ -87,7 +90,9 @@ def recorded_parts(records: Mapping[str, Mapping[str, str]]) -> list[OwnPart]:
     for kind, name in _RECORDS.items():
         number = 1
         while (record := records.get(name.format(number))) is not None:
-            found.append(OwnPart(kind, record.get("name", "?"), record.get("digest", "")))
+            stages = record.get("every_stage")
+            told = None if stages is None else stages == "true"
+            found.append(OwnPart(kind, record.get("name", "?"), record.get("digest", ""), told))
             number += 1
     return found
 
@@ -98,15 +103,27 @@ def _records(parts: Sequence[OwnPart], first: int) -> dict[str, dict[str, str]]:
         _RECORDS[part.kind].format(number): {
             "name": part.name,
             **({"digest": part.digest} if part.digest else {}),
+            **({} if part.every_stage is None else {"every_stage": _text(part.every_stage)}),
             "note": _NOTE,
         }
         for number, part in enumerate(parts, first)
     }
 
 
-def law_digests(parts: Iterable[OwnPart]) -> dict[str, str]:
-    """Return the digest of each law among `parts`, by its name."""
-    return {part.name: part.digest for part in parts if part.kind == LAW}
+def _text(yes: bool) -> str:
+    return "true" if yes else "false"
+
+
+def digests(parts: Iterable[OwnPart], kind: str) -> dict[str, str]:
+    """Return the digest of each part of a kind, by its name."""
+    return {part.name: part.digest for part in parts if part.kind == kind}
+
+
+def note_link_models(parts: Iterable[OwnPart]) -> None:
+    """Note the recorded link models, so that the configuration of their flight can be read."""
+    for part in parts:
+        if part.kind == LINK_MODEL and part.every_stage is not None:
+            note_recorded(part.name, part.every_stage)
 
 
 def names(parts: Sequence[OwnPart], kind: str) -> str:

@@ -40,6 +40,7 @@ from flock_sim.recording.flight_bag import (
 from flock_sim.recording.machine import Machine
 from flock_sim.recording.own_parts import (
     OwnPart,
+    note_link_models,
     own_laws,
     own_link_models,
     recorded_parts,
@@ -69,6 +70,7 @@ class Run:
         """Open the bag at `path`. Raises FlockError if it is missing, empty or foreign."""
         self.path = Path(path)
         self.bag = BagReader(self.path)
+        note_link_models(recorded_parts(self.bag.records))
         try:
             self.configuration = recorded_configuration(self.bag)
         except (KeyError, ValueError, FlockError) as error:

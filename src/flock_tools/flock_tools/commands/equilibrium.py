@@ -36,11 +36,12 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
 
-    from flock_tools.commands.options import check_links_exact
+    from flock_tools.commands.options import check_links_exact, check_unforced
     from flock_tools.runs.assessment import Assessment
 
     configuration = flock_configuration(options)
     check_links_exact(configuration, "equilibrium")
+    check_unforced(configuration, "equilibrium")
     assessment = Assessment.of(configuration)
     if options.json:
         print_json(assessment.as_json())

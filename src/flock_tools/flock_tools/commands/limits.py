@@ -28,6 +28,7 @@ from flock_tools.commands.options import (
     add_picture_options,
     add_scheduler_option,
     check_links_exact,
+    check_unforced,
     two_numbers,
 )
 from flock_tools.figures.output import check_picture, write_picture
@@ -262,14 +263,16 @@ def _how_flown(options: argparse.Namespace, configuration: FlockConfiguration) -
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
     check_links_exact(configuration, "limits")
+    if options.method == "exact":
+        check_unforced(configuration, "limits --method exact")
     if configuration.birds < 2:
         raise FlockError(
             f"birds = {configuration.birds}: must be 2 or more, since limits need a formation"
         )
     if configuration.members > 1:
         raise FlockError(
-            f"span ratios of {configuration.members} members: must be those of one flock; give one "
-            "span ratio for each bird"
+            f"the flock has {configuration.members} members: must have one; give one value of each "
+            "key"
         )
     return configuration
 

@@ -66,13 +66,17 @@ def two_numbers(text: str) -> tuple[float, float]:
 
 
 def check_links_exact(configuration: FlockConfiguration, tool: str) -> None:
-    """Raise FlockError unless all links are `exact` and without faults, and nothing is forced."""
+    """Raise FlockError unless all links are `exact` and without faults."""
     if not configuration.link_table.plain:
         raise FlockError(
             f"links {' '.join(configuration.links)}: {tool} solves the exact coupling, "
             "which needs `exact` links without faults; leave the links out, or fly with them: "
             "`./flock fly`"
         )
+
+
+def check_unforced(configuration: FlockConfiguration, tool: str) -> None:
+    """Raise FlockError if forces besides thrust and drag act on the flock."""
     if configuration.forcing:
         raise FlockError(
             f"forcing {' '.join(configuration.forcing)}: {tool} solves the flight without forces "

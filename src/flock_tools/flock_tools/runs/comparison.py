@@ -20,7 +20,7 @@ from flock_sim.messages.state import ARRAYS, MEANS, VALUES
 from flock_sim.messages.state_layout import layout_of, same_head, step_of, steps_of, values_of
 from flock_sim.messages.types import BILLION, State
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.recording.own_parts import law_digests
+from flock_sim.recording.own_parts import LAW, digests
 from flock_sim.recording.run import Run
 from flock_tools.runs.difference import Difference, distance, other_bits
 from flock_tools.runs.pairing import Ticks, by_step, pairs
@@ -295,7 +295,7 @@ def _configurations(first: Run, second: Run) -> Iterator[Difference]:
         yield Difference("configuration", pushes, "perturbations")
     if links[0] != links[1] and not _same_links(one, other):
         yield Difference("configuration", links, "links")
-    laws, other_laws = law_digests(first.own_parts), law_digests(second.own_parts)
+    laws, other_laws = digests(first.own_parts, LAW), digests(second.own_parts, LAW)
     for name in sorted(laws.keys() & other_laws.keys()):
         if laws[name] != other_laws[name]:
             yield Difference("configuration", (laws[name], other_laws[name]), f"law {name}")
