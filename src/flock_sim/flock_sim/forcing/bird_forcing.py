@@ -110,6 +110,6 @@ class BirdForcing:
             return f"bird {self.bird}, step {step}: the law {law!r} has raised an exception"
         of = f" in member {member}" if len(self.force) > 1 else ""
         return (
-            f"bird {self.bird}, step {step}: the law {law!r} returns nan or inf{of}, although all "
+            f"bird {self.bird}, step {step}: the law {law!r} returns nan or inf{of}, although the "
             "values that it was given are finite: mend the law"
         )

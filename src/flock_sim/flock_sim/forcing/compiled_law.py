@@ -17,7 +17,7 @@ import numpy as np
 from flock_sim.errors import FlockError
 from flock_sim.forcing import frame
 from flock_sim.forcing.law import GIVEN, Bird, Law, Neighbours, Signature, signature_of
-from flock_sim.physics.compile import ADDRESS, anew, kernel
+from flock_sim.physics.compile import ADDRESS, anew, checked, kernel
 from flock_sim.physics.compiler import numba
 from flock_sim.physics.dynamics import canonical
 from flock_sim.physics.kernel_cache import PACKAGE
@@ -25,6 +25,12 @@ from flock_sim.physics.runge_kutta import NODES, STAGES
 
 MOST_STATES = 16
 """Most numbers of state of a law."""
+
+DIVERGED = 1e100
+"""Values of a member from which on it has diverged."""
+
+WITH_STATE = "(force, (rate of state[0], ...))"
+"""What a law with a state returns, in words."""
 
 _LOOP: Any = numba.types.int64(ADDRESS, ADDRESS, ADDRESS, numba.types.float64)
 """The type of a loop: (address of the words, term, tick, dt) -> 0."""
@@ -61,10 +67,12 @@ def call(_: Any, address: Any, words: Any, term: Any, tick: Any, dt: Any) -> Any
 def compiled_law(law: Law) -> CompiledLaw:
     """Compile a law. Raises FlockError, of one line, if it can't be compiled or is no law."""
     signature = signature_of(law)
-    plain = anew(law)
+    plain = checked(law)
     states = _states_of(_result_of(plain, signature))
+    if not states and {"state", "step_state"} & {*signature.given}:
+        raise FlockError(f"it takes a state and returns no rates of it: must return {WITH_STATE}")
     ours = law.__module__.startswith(f"{PACKAGE.name}.")
-    loop: Any = _copy(_loop_with_state if states else _loop, _adapted(plain, signature))
+    loop: Any = _copy(_loop_with_state if states else _loop, _adapted(plain, signature, states))
     loop.__qualname__ += f".{law.__module__}.{law.__qualname__}"
     compiled: Any = (kernel if ours else anew)(loop)
     compiled.compile(_LOOP.args)
@@ -73,14 +81,21 @@ def compiled_law(law: Law) -> CompiledLaw:
     return CompiledLaw(int(address), states, compiled)
 
 
-def _adapted(law: Law, signature: Signature) -> Law:
-    """Return a law that takes all GIVEN arguments, the parameters as an array, and the member."""
+def _adapted(law: Law, signature: Signature, states: int) -> Law:
+    """Return a law that takes all GIVEN arguments, the parameters as an array, and the member.
+
+    With a state its numbers may be of any types, and those of the result are floats.
+    """
     arguments = [
         *(f"{name}={name}" for name in signature.given),
         *(f"{name}=parameters[{row}, m]" for row, name in enumerate(signature.parameters)),
     ]
-    text = f"lambda {', '.join(GIVEN)}, parameters, m: law({', '.join(arguments)})"
-    adapted: Law = eval(text, {"law": law, "__name__": __name__})
+    rates = "".join(f"float(result[1][{k}]), " for k in range(states))
+    names = {"law": law, "float": float, "__name__": __name__}
+    floats = f"lambda result: (float(result[0]), ({rates}))" if states else "lambda result: result"
+    names["floats"] = anew(eval(floats, names))
+    text = f"lambda {', '.join(GIVEN)}, parameters, m: floats(law({', '.join(arguments)}))"
+    adapted: Law = eval(text, names)
     return anew(adapted)
 
 
@@ -90,14 +105,20 @@ def _copy(loop: Any, law: Law) -> Any:
 
 
 def _result_of(law: Any, signature: Signature) -> Any:
-    """Compile a law for its arguments; return the type of its result."""
-    column = np.zeros((2, 2))[:, 0]
+    """Compile a law for its arguments; return the type of its result.
+
+    The arrays are read-only: a law that writes into one is refused, since other laws get the same.
+    """
+    table, number = np.zeros((2, 2)), np.zeros(1, np.int64)
+    for array in (table, number):
+        array.flags.writeable = False
+    row, column = table[0], table[:, 0]
     examples = dict(
         zip(
             GIVEN,
             (
                 Bird(1, 1, *(6 * [1.0])),
-                Neighbours(np.zeros(1, np.int64), *(4 * [np.zeros(1)])),
+                Neighbours(number, *(4 * [row])),
                 *(1.0, column, column, column),
             ),
             strict=True,
@@ -115,14 +136,15 @@ def _result_of(law: Any, signature: Signature) -> Any:
 def _states_of(result: Any) -> int:
     """Return the number of state numbers of a law with a type of result."""
     types = numba.types
-    if isinstance(result, types.Number):
+    real = types.Integer, types.Float
+    if isinstance(result, real):
         return 0
     if (
         isinstance(result, types.BaseTuple)
         and len(result) == 2
-        and isinstance(result[0], types.Number)
+        and isinstance(result[0], real)
         and isinstance(result[1], types.BaseTuple)
-        and all(isinstance(rate, types.Number) for rate in result[1])
+        and all(isinstance(rate, real) for rate in result[1])
     ):
         if not 1 <= len(result[1]) <= MOST_STATES:
             raise FlockError(
@@ -130,9 +152,7 @@ def _states_of(result: Any) -> int:
                 "return the force alone"
             )
         return len(result[1])
-    raise FlockError(
-        f"it returns {result}: must be a number, the force, or (force, (rate of state[0], ...))"
-    )
+    raise FlockError(f"it returns {result}: must be a number, the force, or {WITH_STATE}")
 
 
 def _reason(error: Exception) -> str:
@@ -140,6 +160,8 @@ def _reason(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines()]
     noise = "Failed in", "During:", "-", "^", "File "
     told = next((line for line in lines if line and not line.startswith(noise)), str(error))
+    if "setitem" in told and "readonly array" in str(error):
+        told = "it writes into an array that it is given"
     place = next((line for line in lines if line.startswith("File ")), "")
     return f"{told} ({place.rstrip(':')})" if place else told
 
@@ -204,13 +226,11 @@ def _loop_with_state(address: int, term: int, tick: int, dt: float) -> int:
             result = _law(
                 bird, neighbours, time, mine, start[first:last, m], noise[:, m], parameters, m
             )
-            added = float(result[0])
+            added, rates = result
             sound = np.isfinite(added)
-            row = first
-            for slope in numba.literal_unroll(result[1]):
-                rate[row, m] = canonical(float(slope))
-                sound = sound and np.isfinite(rate[row, m])
-                row += 1
+            for k in range(len(rates)):
+                rate[first + k, m] = canonical(rates[k])
+                sound = sound and np.isfinite(rates[k])
             if not sound:
                 _note_fault(words, term, own, now, near, mine, m)
             force[m] = canonical(force[m] + added)
@@ -240,19 +260,23 @@ def _neighbours(number: Any, lateral: Any, near: Any, members: int, m: int) -> N
 
 @kernel
 def _note_fault(words: Any, term: int, own: Any, now: Any, near: Any, state: Any, m: int) -> None:
-    """Note that the result of a law of one's own is not finite, if all that it was given is.
+    """Note that the result of a law of one's own is not finite, unless its member has diverged.
 
     A member that diverges must not end the flight of the others. That Flock's own laws overflow is
     such a divergence.
     """
     if words[frame.FAULT] or words[frame.FIRST_TERM + term * frame.EACH + frame.BUILT_IN]:
         return
-    if not (np.isfinite(own[:, m]).all() and np.isfinite(now[:, m]).all()):
-        return
-    if not np.isfinite(state).all():
+    if _diverged(own[:, m]) or _diverged(now[:, m]) or _diverged(state):
         return
     for row in range(m, near.shape[0], words[frame.MEMBERS]):
-        if not np.isfinite(near[row]).all():
+        if _diverged(near[row]):
             return
     words[frame.FAULT] = frame.NOT_FINITE
     words[frame.FAULT_TERM], words[frame.FAULT_MEMBER] = term, m + 1
+
+
+@kernel
+def _diverged(values: Any) -> bool:
+    """Whether a value is nan, or so large that sound laws may have no finite result."""
+    return not (np.abs(values) < DIVERGED).all()

@@ -167,6 +167,7 @@ def _told(error: BaseException) -> str:
 
 def _function_in(module: ModuleType, name: str, called: str, file: Path) -> Law:
     found = getattr(module, name, None)
+    found = getattr(found, "py_func", found)  # a law may be a function that numba has compiled
     if not inspect.isfunction(found):
         functions = [
             key

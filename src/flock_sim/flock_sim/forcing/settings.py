@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from flock_sim import model_text
 from flock_sim.errors import FlockError
 from flock_sim.forcing.models import ForcingModel
-from flock_sim.forcing.registry import model_of, unknown
+from flock_sim.forcing.registry import BUILT_IN, model_of, unknown
 from flock_sim.model_text import SEPARATOR, items_of, members_of, values_of
 
 if TYPE_CHECKING:
@@ -98,6 +98,6 @@ def read(entry: str) -> Settings:
     if not name:
         raise FlockError(f"forcing {entry!r}: must be {FORM} such as {EXAMPLE}")
     settings.members  # noqa: B018  (the number of values of each key is checked)
-    if model_of(name):
+    if name in BUILT_IN:
         settings.check()
     return settings

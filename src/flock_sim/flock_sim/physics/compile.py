@@ -59,10 +59,12 @@ def _compiled(function: Function, **options: bool) -> Function:
 
 
 def _plain_callees(function: Any) -> Iterator[FunctionType]:
-    """Yield the functions of this package that a plain function calls and that are not compiled."""
+    """Yield the functions of this package, and of its own module, that a plain function calls."""
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
-        if isinstance(callee, FunctionType) and _is_ours(callee):
+        if isinstance(callee, FunctionType) and (
+            _is_ours(callee) or callee.__module__ == function.__module__
+        ):
             yield callee
 
 
@@ -80,6 +82,17 @@ def anew(function: Function, **callees: Callable[..., object]) -> Function:
     `callees` replace the functions that it calls by these names. The code on disk does not have
     these replacements.
     """
+    return _anew(function, callees)
+
+
+def checked(function: Function) -> Function:
+    """Compile a function as `anew` does. An index that is out of range raises IndexError."""
+    return _anew(function, {}, boundscheck=True)
+
+
+def _anew(
+    function: Function, callees: dict[str, Callable[..., object]], **options: bool
+) -> Function:
     plain: Any = getattr(function, "py_func", function)
     names = {**plain.__globals__, **callees}
     copy = FunctionType(
@@ -89,7 +102,7 @@ def anew(function: Function, **callees: Callable[..., object]) -> Function:
     # another process. Code with the name and the number of this copy would be run instead of it.
     copy.__qualname__ = f"anew.{plain.__qualname__}"
     _let_kernels_call(_plain_callees(copy))
-    compiled: Function = numba.njit(**RULES)(copy)
+    compiled: Function = numba.njit(**RULES, **options)(copy)
     return compiled
 
 
