@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import fsolve
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
 from flock_sim.physics.dynamics import acceleration, circulation_at, drag_of_pair
 from flock_sim.physics.flock import Flock
+from flock_tools.runs.dataset import load
 from support.terminal import Terminal
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -91,23 +91,31 @@ def test_the_link_model_is_flown_as_it_is_written(terminal: Terminal) -> None:
 
 
 @pytest.mark.slow
-def test_the_birds_end_where_all_forces_balance(terminal: Terminal) -> None:
-    told = said(terminal, "custom_bird.py")
+def test_the_laws_are_flown_as_they_are_written(terminal: Terminal) -> None:
+    """The commands of my_laws.py: all gaps are 0.8 in the end, and all forces balance."""
+    laws = EXAMPLES / "my_laws.py"
+    terminal.well(
+        *("fly", "--birds", 5, "--t-max", 4000, "--output", "mine"),
+        *("--forcing", f"3={laws}:cruise:speed=1.1", "--forcing", f"{laws}:follow:gap=0.8"),
+    )
+    terminal.well("reference", "--repeat", "mine", "--law", laws, "--output", "again")
+    terminal.well("compare", "mine", "again")
+    end = load(terminal.directory / "mine").isel(time=-1, member=0)
     wakes = Wakes()
-    _, thrust, profile, induced = wakes.body
-
-    def unbalanced(unknown: np.ndarray) -> list[float]:
-        outer, inner, speed = unknown.tolist()
-        gamma = circulation_at(speed, wakes.gamma)
-        left = thrust - profile * speed**2 - induced / speed**2 + 0.5 * (1.2 - speed)
-        ahead = [wakes.drag(gap, gamma, gamma) for gap in (outer, inner)]
-        behind = [wakes.drag(-gap, gamma, gamma) for gap in (outer, inner)]
-        return [
-            left - ahead[0] + 0.02 * (outer - 0.8),
-            left - behind[0] - ahead[1] + 0.02 * (inner - 0.8),
-            left - 2.0 * behind[1],
-        ]
-
-    solution = fsolve(unbalanced, [0.8, 0.8, 1.2], xtol=1e-12)
-    # What is left of the start after t = 1000: it decays with DAMPING / 2 m_0, by e^-34.
-    assert numbers(told) == pytest.approx(solution, rel=0, abs=2e-9)
+    mass, thrust, profile, induced = wakes.body
+    speed = float(end.speed[0])
+    gamma = circulation_at(speed, wakes.gamma)
+    ahead, behind = wakes.drag(0.8, gamma, gamma), wakes.drag(-0.8, gamma, gamma)
+    own = thrust - profile * speed**2 - induced / speed**2
+    # What is left of the start decays with the slowest root of the loop of gap, speed and integral:
+    # m s^3 + damping s^2 + stiffness s + integral = 0.
+    slowest = max(np.roots([mass, 0.5, 0.02, 1e-4]).real)
+    left = 100.0 * math.exp(slowest * 4000.0)
+    gaps = abs(np.diff(end.position))
+    assert gaps == pytest.approx([0.8] * 4, rel=0, abs=max(left, 1e-11))
+    # The leader cruises, and pulls against the drag of the birds behind it.
+    assert own - 2.0 * behind + 0.1 * (1.1 - speed) == pytest.approx(0.0, abs=max(left, 1e-11))
+    # The integrals of the others are the forces that hold the gap.
+    forces = 1e-4 * end.forcing_state.values[:, 0]
+    expected = [ahead - own, ahead + behind - own, 0.0, ahead + behind - own, ahead - own]
+    assert forces == pytest.approx(expected, rel=0, abs=max(left, 1e-11))

@@ -24,8 +24,7 @@ from flock_sim.nodes import bird_process
 
 
 class Keeper_(BirdNode):
-    def control(self, known):
-        return 0.5 * (1.2 - known.speed)
+    pass
 
 
 bird_process.BirdNode = Keeper_
@@ -91,12 +90,7 @@ def test_what_is_not_flocks_has_a_name() -> None:
     class OwnProtocol(FreeBird):
         pass
 
-    def pull(known: object) -> float:
-        return 0.0
-
     node, protocol = BirdNode.__new__(BirdNode), BirdProtocol.__new__(BirdProtocol)
-    assert own_name(node, protocol, None) == ""
-    assert own_name(Own.__new__(Own), protocol, pull) == "Own"
-    assert own_name(node, OwnProtocol.__new__(OwnProtocol), None) == "OwnProtocol"
-    assert own_name(node, protocol, pull) == "pull"
-    assert own_name(node, protocol, lambda known: 0.0) == "<lambda>"
+    assert own_name(node, protocol) == ""
+    assert own_name(Own.__new__(Own), protocol) == "Own"
+    assert own_name(node, OwnProtocol.__new__(OwnProtocol)) == "OwnProtocol"

@@ -23,7 +23,6 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.stage_kernels import move
 from flock_sim.protocol.bird import BirdProtocol
-from flock_sim.protocol.control_force import Perception
 from flock_sim.recording.run import Run
 from flock_sim.reference.flock_kernel import add_forces, fill_circulation
 from flock_sim.reference.integrator import Reference
@@ -31,6 +30,7 @@ from flock_sim.ros.process import new_incarnation
 from flock_sim.ros.settings_check import shared_memory
 from flock_tools.runs.dataset import load
 from flock_tools.testing import fly
+from support.own_laws import with_law
 from support.terminal import ports
 
 
@@ -114,16 +114,31 @@ def test_parameters_win_over_the_configuration_and_the_bag_stays_where_asked(tmp
         fly(flock, output=tmp_path / "bag")
 
 
-class Keeper(BirdNode):
-    """A bird with a force of its own."""
+PULL = """
+def pull(bird, neighbours, time):
+    total = 0.0
+    for k in range(len(neighbours.number)):
+        total += neighbours.position[k] - bird.position
+    return 0.01 * total + 0.002 * time * (1.2 - bird.speed)
 
-    def control(self, view: Perception) -> FloatArray:
-        others = (view.positions - view.position).sum(axis=0)
-        return np.asarray(0.01 * others + 0.1 * np.sin(view.time) * (1.2 - view.speed))
+
+def steady(bird, neighbours, state, speed=1.05):
+    error = speed - bird.speed
+    force = 0.1 * error + 0.01 * state[0]
+    for k in range(len(neighbours.number)):
+        force += 0.01 * (neighbours.speed[k] - bird.speed)
+    return force, (error,)
+
+
+def late(bird, time):
+    if bird.number == 2 and time > 20.0:
+        raise ZeroDivisionError("the experiment has a fault")
+    return 0.0
+"""
 
 
 def forced(configuration: FlockConfiguration) -> FloatArray:
-    """Speeds of a flock of Keepers, shape (steps + 1, birds, members), flown in one loop."""
+    """Speeds of a flock with `pull`, shape (steps + 1, birds, members), flown in one loop."""
     flock, flight = Flock.of(configuration), Reference(configuration)
     x, u, dt = flight.position, flight.speed, configuration.dt
     around = [
@@ -138,9 +153,11 @@ def forced(configuration: FlockConfiguration) -> FloatArray:
         for stage, node in enumerate((0.0, 0.5, 0.5, 1.0)):
             coefficients = flock.elements.reshape(5, *u.shape)
             for i, others in enumerate(around):
-                pull = (x_now[others] - x_now[i]).sum(axis=0)
-                wave = 0.1 * np.sin((step + node) * dt)
-                coefficients[1, i] += 0.01 * pull + wave * (1.2 - u_now[i])
+                total = np.zeros(u.shape[1])
+                for other in others:
+                    total = total + (x_now[other] - x_now[i])
+                growing = 0.002 * ((step + node) * dt)
+                coefficients[1, i] += 0.01 * total + growing * (1.2 - u_now[i])
             drag = np.zeros_like(u)
             fill_circulation(u_now.ravel(), coefficients[4].ravel(), circulation.reshape(-1))
             add_forces(flock.pairs, x_now, circulation, interactions, drag)
@@ -152,30 +169,47 @@ def forced(configuration: FlockConfiguration) -> FloatArray:
     return np.stack(speeds)
 
 
-def test_birds_with_a_control_fly_as_the_same_forces_do_in_one_loop_to_the_bit():
-    flock = FlockConfiguration(
-        birds=4, dt=0.5, t_max=50.0, record_every=1, span_ratios=("2=0.97,1.03",)
+def test_birds_with_a_law_fly_as_the_same_forces_do_in_one_loop_to_the_bit(tmp_path):
+    flock = with_law(
+        tmp_path,
+        PULL,
+        "pull",
+        birds=4,
+        dt=0.5,
+        t_max=50.0,
+        record_every=1,
+        span_ratios=("2=0.97,1.03",),
     )
-    flown = fly(flock, bird=Keeper).speed.values
+    flown = fly(flock).speed.values
     np.testing.assert_array_equal(flown, forced(flock))
-    assert not np.array_equal(flown, fly(flock).speed)
+    assert not np.array_equal(flown, fly(flock, forcing=[]).speed)
 
 
-def pulled(view: Perception) -> float:
-    """A force for birds of Flock's own class."""
-    return 0.1 if view.bird == 2 else 0.0
+def test_a_law_with_a_state_is_flown_over_links_as_in_the_reference_to_the_bit(tmp_path):
+    links = ("hold:interval=3,drop=0.2,noise=1e-3",)
+    flock = with_law(tmp_path, PULL, "steady", birds=4, t_max=60.0, record_every=3, links=links)
+    flown = fly(flock)
+    states = list(Reference(flock).fly())
+    np.testing.assert_array_equal(flown.speed, [state.speed for state in states])
+    expected = [state.forcing_state for state in states]
+    np.testing.assert_array_equal(flown.forcing_state, expected)
+    assert abs(flown.forcing_state[-1]).min() > 0.1
 
 
-def steered(bird: int, flown: FlockConfiguration, run_id: int, **options: Any) -> BirdNode:
-    """Return a bird of Flock's class with the control `pulled`."""
-    protocol = BirdProtocol(bird, flown, run_id, new_incarnation(), pulled)
+class OwnProtocol(BirdProtocol):
+    """A protocol of the user."""
+
+
+def with_protocol(bird: int, flown: FlockConfiguration, run_id: int, **options: Any) -> BirdNode:
+    """Return a bird of Flock's class with a protocol of the user."""
+    protocol = OwnProtocol(bird, flown, run_id, new_incarnation())
     return BirdNode(bird, flown, run_id, protocol=protocol, **options)
 
 
 @pytest.mark.parametrize(
     ("bird", "name"),
-    [(Keeper, "Keeper"), (Watched, "Watched"), (partial(Keeper), "Keeper"), (steered, "pulled")],
-    ids=["control", "other class", "factory", "protocol"],
+    [(Watched, "Watched"), (partial(Watched), "Watched"), (with_protocol, "OwnProtocol")],
+    ids=["class", "factory", "protocol"],
 )
 def test_the_bag_names_birds_that_are_not_in_flock_and_they_are_not_repeated(bird, name, tmp_path):
     flown = fly(birds=2, t_max=20.0, bird=bird, output=tmp_path / "bag")
@@ -201,12 +235,12 @@ def test_bad_input_is_refused_in_one_line(bad, words):
 
 
 class Broken(BirdNode):
-    """A bird whose control fails in flight."""
+    """A bird that fails in flight."""
 
-    def control(self, view: Perception) -> float:
-        if view.time > 20.0:
+    def hear(self, *arguments: Any) -> bool:
+        if self.protocol.in_flight:
             raise ZeroDivisionError("the experiment has a fault")
-        return 0.0
+        return super().hear(*arguments)
 
 
 class Deaf(BirdNode):
@@ -216,8 +250,10 @@ class Deaf(BirdNode):
         return False
 
 
-def test_what_a_bird_fails_with_is_raised_and_the_next_flight_flies(temporary):
+def test_what_a_bird_fails_with_is_raised_and_the_next_flight_flies(temporary, tmp_path):
     environment, threads = dict(os.environ), threading.active_count()
+    with pytest.raises(RunFailed, match=r"bird 2, step 20: .*late' has raised an exception"):
+        fly(with_law(tmp_path, PULL, "late", birds=2, t_max=1000.0))
     with pytest.raises(ZeroDivisionError, match="the experiment has a fault"):
         fly(birds=2, t_max=1000.0, bird=Broken)
     with pytest.raises(RunFailed, match=r"no progress for 0\.5 s, waiting for bird_01, bird_02"):

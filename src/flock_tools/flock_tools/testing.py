@@ -64,7 +64,7 @@ def fly(
     Clock, recorder and birds are the nodes of `flock fly`. Each runs in a thread of its own. The
     flight has a ROS domain of its own, and discovery stays on this machine. `parameters` are keys
     of the configuration file. They override `configuration`. `bird` creates all birds: BirdNode or
-    a replacement, such as a subclass with a `control`; the bag names its class. With `output` the
+    a replacement, such as a subclass; the bag names its class. With `output` the
     bag is kept there. The environment, temporary files and shared memory are restored afterwards.
     Other ROS contexts of the process are not touched. Only one such flight may run at a time,
     because the flight changes the environment of the process.
