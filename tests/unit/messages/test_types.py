@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
+from flock_sim.messages.cdr import Message
 from flock_sim.messages.state import FRAME
 from flock_sim.messages.types import (
     Checkpoint,
@@ -250,6 +251,23 @@ def test_run_and_epoch_of_an_encoded_state_are_read_and_taken_out_without_decodi
     data = message.encode()
     assert State.envelope(data) == (message.run_id, message.epoch)
     assert State.opened(data) == replace(message, run_id=0, epoch=0).encode()
+
+
+@given(message=MESSAGES[State])
+def test_a_state_is_encoded_as_every_other_message(message):
+    assert message.encode() == Message.encode(message)
+    assert replace(message, frame="flock").encode() == Message.encode(
+        replace(message, frame="flock")
+    )
+
+
+@pytest.mark.parametrize("members", [1, 2, 7])
+@pytest.mark.parametrize("numbers", [0, 1, 3])
+def test_a_state_of_a_flight_is_encoded_as_every_other_message(members, numbers):
+    arrays = np.random.default_rng(members).standard_normal((6, members))
+    forcing = np.arange(numbers * members, dtype=np.float64)
+    state = State.at(FlockConfiguration(), 20, *arrays, forcing, 2**63, 2**32 - 1)
+    assert state.encode() == Message.encode(state)
 
 
 @pytest.mark.parametrize("members", [1, 2, 7])

@@ -11,6 +11,7 @@ import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.cdr import (
+    ENCAPSULATION,
     Float64,
     Int32,
     Message,
@@ -72,6 +73,26 @@ class State(Message):
     forcing_state: Numbers = field(default_factory=lambda: NOTHING)
     run_id: UInt64 = 0
     epoch: UInt32 = 0
+
+    def encode(self) -> bytes:
+        """Return the message as CDR: the bytes of `Message.encode`, in a third of the time."""
+        arrays = (
+            self.position,
+            self.speed,
+            self.circulation,
+            self.interaction_drag,
+            self.mean_speed,
+            self.mean_interaction_drag,
+        )
+        if self.frame != FRAME or not all(map(len, arrays)):
+            return Message.encode(self)
+        stamp = self.seconds, self.nanoseconds
+        parts = [_HEAD.pack(ENCAPSULATION, *stamp, *_FRAME, self.step, self.time)]
+        for values in (*arrays, self.forcing_state):
+            parts.append(_COUNT.pack(len(values)))
+            parts.append(np.asarray(values, dtype=_NUMBER).tobytes())
+        parts.append(STATE_ENVELOPE.pack(self.run_id, self.epoch))
+        return b"".join(parts)
 
     @classmethod
     def decode(cls, data: bytes) -> State:
@@ -174,6 +195,14 @@ def _array(length: int) -> str:
     return f"I{STATE_NUMBERS_AT - 4}x{8 * length}x"
 
 
+STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
+"""Run id and epoch, the last fields of a state."""
+_FRAME = len(FRAME) + 1, FRAME.encode()
+_HEAD = struct.Struct(f"<4siII{len(FRAME) + 1}s{-(len(FRAME) + 13) % 8}xQd")
+"""The fields before the arrays, with the encapsulation."""
+_COUNT = struct.Struct("<I4x")
+"""The length of an array, and the padding before its numbers, or before the envelope."""
+_NUMBER = np.dtype("<f8")
 _ONE = np.zeros(1)
 _STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE, _ONE, _ONE)
 STATE_STEP_AT = _STATE.place("step")
@@ -184,5 +213,3 @@ STATE_HEAD = _STATE.place(ARRAYS[0])
 """Size of the fields before the arrays, with the encapsulation."""
 STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8
 """Offset of the numbers of an array: its length and the padding come first."""
-STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
-"""Run id and epoch, the last fields of a state."""
