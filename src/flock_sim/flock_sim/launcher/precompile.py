@@ -115,6 +115,18 @@ def warm_sensitivity() -> None:
     sensitivity(flock, equilibrium(flock))
 
 
+def warm_response(coupling: str) -> None:
+    """Do the same with the linear responses of flocks of one coupling."""
+    from flock_sim.physics.flock import Flock
+    from flock_sim.response.linear_response import frequency_response, response
+    from flock_sim.theory.equilibrium import equilibrium
+
+    flock = Flock.of(FlockConfiguration(birds=3, coupling=coupling))
+    response(flock, gust=1e-5)
+    frequency_response(flock, equilibrium(flock), 0.01)
+    response(flock, lag=1.0, model="hold")
+
+
 def warm_integral() -> None:
     """Do the same with the interaction integral."""
     from flock_sim.physics.aerodynamics import interaction_integral
@@ -131,6 +143,7 @@ if __name__ == "__main__":
     warm_exchange()
     for coupling in COUPLINGS:
         warm_equilibrium(coupling)
+        warm_response(coupling)
     warm_stability()
     warm_sensitivity()
     warm_integral()
