@@ -96,6 +96,18 @@ def warm_equilibrium(coupling: str) -> None:
     equilibrium(Flock.of(FlockConfiguration(birds=3, coupling=coupling)))
 
 
+def warm_arrangement() -> None:
+    """Do the same with the search for the best order of birds."""
+    from flock_sim.physics.scaling import Scales
+    from flock_sim.theory.arrangement_orders import Kinds
+    from flock_sim.theory.arrangement_search import ChainSearch, Wanted
+
+    scales = Scales.of(FlockConfiguration())
+    kinds = Kinds.of(scales, "nearest", np.array([0.99, 1.0, 1.01]))
+    kinds.all_orders()
+    ChainSearch(kinds).find(Wanted(0.0), lambda done: None)
+
+
 def warm_stability() -> None:
     """Do the same with the eigenvalues of steady states."""
     from flock_sim.physics.flock import Flock
@@ -146,4 +158,5 @@ if __name__ == "__main__":
         warm_response(coupling)
     warm_stability()
     warm_sensitivity()
+    warm_arrangement()
     warm_integral()

@@ -183,10 +183,26 @@ def _worst_of_gaps(share: FloatArray) -> npt.NDArray[np.bool_]:
     return np.where(of_gap >= 0.5, bird < gap, bird >= gap) & (gap > 0)
 
 
-def _all_to_all(
+def margins(
+    flock: Flock, thrust_ratio: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return U*^2 and the margins of all members of `flock`, both (members,), without spacings.
+
+    `thrust_ratio` is as for `equilibrium`.
+    """
+    ratio = np.ones_like(flock.span_ratio) if thrust_ratio is None else thrust_ratio
+    with np.errstate(over="ignore", invalid="ignore"):
+        if flock.coupling == "nearest" or flock.birds == 1:
+            square, share = nearest_shares(flock, ratio)
+            return square, distance_from_end(share).min(axis=0, initial=np.inf)
+        square, _, _, _, margin, _ = _all_to_all_shares(flock, ratio)
+        return square, margin
+
+
+def _all_to_all_shares(
     flock: Flock, thrust_ratio: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Return U*^2, shares, spacings, margins and worst sets of all-to-all coupling."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Return U*^2, K_ij / k, R_j / k, shares, margins and worst sets of all-to-all coupling."""
     from flock_sim.theory import all_to_all, worst_sets  # kernels not used for `nearest`
 
     square = np.empty(flock.members)
@@ -206,6 +222,16 @@ def _all_to_all(
     )
     margin, worst = np.empty(flock.members), _worst_of_gaps(share)
     worst_sets.find_worst_sets(needed, flock.pairs, 2.0 * strength * flock.even, worst, margin)
+    return square, strength, needed, share, margin, worst
+
+
+def _all_to_all(
+    flock: Flock, thrust_ratio: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Return U*^2, shares, spacings, margins and worst sets of all-to-all coupling."""
+    from flock_sim.theory import all_to_all
+
+    square, strength, needed, share, margin, worst = _all_to_all_shares(flock, thrust_ratio)
     spacing = np.empty_like(share)
     near = np.clip(nearest_shares(flock, thrust_ratio)[1], CLOSEST_START, 1.0 - CLOSEST_START)
     nearest.fill_spacings(flock.span_ratio, near, spacing)
