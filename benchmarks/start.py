@@ -38,7 +38,7 @@ FLOCK = Path(__file__).parents[1] / "flock"
 YARDSTICK = "import rclpy, numba"
 WITH_HELP = (
     *("fly", "reference", "metrics", "compare", "picture", "report", "repair", "equilibrium"),
-    *("limits", "survey", "sweep", "figures", "study", "play", "watch", "view"),
+    *("limits", "arrange", "survey", "sweep", "figures", "study", "play", "watch", "view"),
     *("bird", "clock", "recorder"),
 )
 LAYOUTS = ((13, 1), (13, 13), (101, 2), (501, 2))

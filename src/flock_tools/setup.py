@@ -27,6 +27,7 @@ setup(
             "figures=flock_tools.commands.figures:main",
             "equilibrium=flock_tools.commands.equilibrium:main",
             "limits=flock_tools.commands.limits:main",
+            "arrange=flock_tools.commands.arrange:main",
             "survey=flock_tools.commands.survey:main",
             "study=flock_tools.commands.study:main",
             "sweep=flock_tools.commands.sweep:main",

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from flock_sim.physics.flock_state import FlockState as FlockState
     from flock_sim.recording.run import Run as Run
     from flock_sim.reference.integrator import Reference as Reference
+    from flock_sim.theory.arrangement import Arrangement as Arrangement
+    from flock_sim.theory.arrangement import arrange as arrange
     from flock_sim.theory.delay_stability import Crossing as Crossing
     from flock_sim.theory.delay_stability import crossings as crossings
     from flock_sim.theory.delayed_nearest import DelayedNearest as DelayedNearest
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
+    "Arrangement": "theory.arrangement",
     "BirdNode": "nodes.bird",
     "Crossing": "theory.delay_stability",
     "DelayedNearest": "theory.delayed_nearest",
@@ -53,6 +56,7 @@ _MODULES = {
     "Run": "recording.run",
     "RunFailed": "errors",
     "Sensitivity": "theory.sensitivity",
+    "arrange": "theory.arrangement",
     "crossings": "theory.delay_stability",
     "delayed_nearest": "theory.delayed_nearest",
     "equilibrium": "theory.equilibrium",

@@ -8,13 +8,19 @@ import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.scaling import Scales
-from flock_sim.theory import arrangement, arrangement_search
+from flock_sim.theory import arrangement, arrangement_bounds, arrangement_search
 from flock_sim.theory.arrangement import arrange
 from flock_sim.theory.arrangement_orders import Kinds
 from support.steady_flocks import H_0, STRENGTH, A, across, even
 from support.steady_states import steady
 
 SCALES = Scales.of(FlockConfiguration())
+
+
+def arranged(coupling, spans):
+    """The best orders of birds of the goose's kind."""
+    return arrange(FlockConfiguration(coupling=coupling), spans)
+
 
 RESULTS = ("fastest", "fastest_flying", "firmest", "closest")
 
@@ -86,7 +92,7 @@ def test_results_are_those_of_all_orders(coupling, method, monkeypatch):
     for seed in range(50):
         spans = spans_of(seed)
         orders, speed, margin = brute_force(spans, coupling)
-        found = arrange(SCALES, coupling, spans)
+        found = arranged(coupling, spans)
         flying = margin > 0.0
         none_flies += not flying.any()
         assert found.orders == len(orders)
@@ -114,19 +120,19 @@ def same(one, other):
 @pytest.mark.parametrize("spread", [0.004, 0.03, 0.1])
 def test_ten_birds_are_searched_as_exactly_as_tried(spread, monkeypatch):
     spans = np.random.default_rng(10).normal(1.0, spread, 10)
-    tried = arrange(SCALES, "nearest", spans)
+    tried = arranged("nearest", spans)
     monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
-    same(arrange(SCALES, "nearest", spans), tried)
+    same(arranged("nearest", spans), tried)
     assert tried.orders == 1814400
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_halved_intervals_change_no_result(seed, monkeypatch):
     spans = np.random.default_rng(seed).normal(1.0, (0.01, 0.05, 0.1)[seed % 3], 8)
-    tried = arrange(SCALES, "nearest", spans)
+    tried = arranged("nearest", spans)
     monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
     monkeypatch.setattr(arrangement_search, "BUDGET", 300)
-    same(arrange(SCALES, "nearest", spans), tried)
+    same(arranged("nearest", spans), tried)
 
 
 def test_bounds_cut_no_wanted_order():
@@ -144,7 +150,7 @@ def wanted_orders_within_bounds(seed):
     level = float(np.median(margin))
     saved = [search.saved_at(one) for one in speed]
     low, high = float(np.quantile(saved, 0.3)) - 1e-9, float(np.quantile(saved, 0.9)) + 1e-9
-    arrangement_search.fill_bounds(tables, bounds, level - 1e-9, low, high)
+    arrangement_bounds.fill_bounds(tables, bounds, level - 1e-9, low, high)
     wanted = [i for i in range(len(orders)) if margin[i] >= level and low <= saved[i] <= high]
     for order, total in zip(orders[wanted].tolist(), np.array(saved)[wanted], strict=True):
         now, within = 0, 0.0
@@ -169,7 +175,7 @@ def test_orders_are_counted_without_mirror_images_and_listed_in_order(counts):
 def test_results_are_steady_states_of_equilibrium():
     spans = np.array([1.0, 0.98, 1.03, 1.01, 0.99])
     for coupling in ("nearest", "all"):
-        found = arrange(SCALES, coupling, spans)
+        found = arranged(coupling, spans)
         for result in (found.fastest_flying, found.firmest):
             state = steady(5, result.order, coupling=coupling)
             assert state.exists[0]
@@ -180,7 +186,7 @@ def test_results_are_steady_states_of_equilibrium():
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 def test_equal_birds_have_one_order(coupling):
-    found = arrange(SCALES, coupling, np.ones(13))
+    found = arranged(coupling, np.ones(13))
     assert (found.orders, found.flying) == (1, 1)
     for result in (found.fastest, found.fastest_flying, found.firmest):
         assert result.order.tolist() == [1.0] * 13
@@ -195,20 +201,20 @@ def test_of_orders_that_differ_by_rounding_only_the_smallest_is_taken(most, monk
     first, other = [0.9, 1.0, 1.1, 1.2, 1.0, 0.91], [0.9, 1.0, 1.2, 1.1, 1.0, 0.91]
     speeds = [steady(6, order).balanced_speed[0] for order in (first, other)]
     assert speeds[0] == pytest.approx(speeds[1], abs=1e-15)
-    assert arrange(SCALES, "nearest", spans).fastest.order.tolist() == first
+    assert arranged("nearest", spans).fastest.order.tolist() == first
 
 
 def test_a_bird_alone_and_two_birds():
-    alone = arrange(SCALES, "nearest", np.array([1.02]))
+    alone = arranged("nearest", np.array([1.02]))
     assert (alone.orders, alone.flying, alone.firmest.margin) == (1, 1, np.inf)
-    two = arrange(SCALES, "all", np.array([1.02, 0.99]))
+    two = arranged("all", np.array([1.02, 0.99]))
     assert (two.orders, two.flying) == (1, 1)
     assert two.fastest.order.tolist() == two.firmest.order.tolist() == [0.99, 1.02]
 
 
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 def test_where_none_can_fly_the_closest_is_told(coupling):
-    found = arrange(SCALES, coupling, np.array([0.7, 1.0, 1.4]))
+    found = arranged(coupling, np.array([0.7, 1.0, 1.4]))
     assert (found.orders, found.flying) == (3, 0)
     assert found.fastest_flying is None
     assert found.firmest is None
@@ -219,10 +225,10 @@ def test_where_none_can_fly_the_closest_is_told(coupling):
 @pytest.mark.parametrize("most", [0, 10])
 def test_birds_whose_vortices_would_meet_are_no_neighbours(most, monkeypatch):
     monkeypatch.setattr(arrangement, "MOST_COUNTED", most)
-    found = arrange(SCALES, "nearest", np.array([0.45, 0.5, 1.2]))
+    found = arranged("nearest", np.array([0.45, 0.5, 1.2]))
     assert found.orders == 3
     assert found.fastest.order.tolist() == [0.45, 1.2, 0.5]
-    nowhere = arrange(SCALES, "nearest", np.array([0.4, 0.45, 0.5]))
+    nowhere = arranged("nearest", np.array([0.4, 0.45, 0.5]))
     assert [getattr(nowhere, name) for name in RESULTS] == [None] * 4
 
 
@@ -230,7 +236,7 @@ def test_a_search_that_gives_up_says_so(monkeypatch):
     monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
     monkeypatch.setattr(arrangement_search, "BUDGET", 3)
     monkeypatch.setattr(arrangement_search, "MOST_WORK", 9)
-    found = arrange(SCALES, "nearest", spans_of(5))
+    found = arranged("nearest", spans_of(5))
     assert found.method == "local search"
     assert not found.firmest.proven
 
@@ -238,12 +244,12 @@ def test_a_search_that_gives_up_says_so(monkeypatch):
 def test_beyond_the_exact_methods_a_local_search_finds_good_orders(monkeypatch):
     spans = np.random.default_rng(4).normal(1.0, 0.03, 7)
     for coupling in ("nearest", "all"):
-        exact = arrange(SCALES, coupling, spans)
+        exact = arranged(coupling, spans)
         with monkeypatch.context() as patched:
             patched.setattr(arrangement, "MOST_COUNTED", 0)
             patched.setattr(arrangement, "MOST_STATES", 0)
-            found = arrange(SCALES, coupling, spans)
-            same(found, arrange(SCALES, coupling, spans[::-1]))
+            found = arranged(coupling, spans)
+            same(found, arranged(coupling, spans[::-1]))
         assert (found.method, found.algorithm, found.flying) == ("local search",) * 2 + (None,)
         for name in RESULTS[:3]:
             # Seven birds are few enough for 16 starts.

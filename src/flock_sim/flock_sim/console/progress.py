@@ -55,6 +55,17 @@ def counter(what: str, unit: str, total: float) -> Iterator[Callable[[float], No
 
 
 @contextmanager
+def stages() -> Iterator[Callable[[str, float], None]]:
+    """Yield a function of what is being done and of the fraction of it that is done."""
+    with _bar("", 1.0, (TIME_LEFT,)) as update:
+
+        def show(what: str, done: float) -> None:
+            update(description=what, completed=done)
+
+        yield show
+
+
+@contextmanager
 def playback_bar(length: float) -> Iterator[Callable[[float, float, bool], None]]:
     """Yield a function of the recorded time reached, in s of `length`, the rate and the pause.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,6 +32,9 @@ from flock_sim.theory.arrangement_search import (
     states,
 )
 from flock_sim.theory.steady_speed import balances
+
+if TYPE_CHECKING:
+    from flock_sim.configuration.flock_configuration import FlockConfiguration
 
 TIE = 1e-12
 """Largest difference of speeds, in U_min, or of margins that counts as rounding.
@@ -54,7 +58,6 @@ EXACT, ALL_ORDERS, BOUNDED, HEURISTIC = "exact", "all orders", "branch and bound
 """Methods: "exact" for results that are proven, and how they are found."""
 
 OnProgress = Callable[[str, float], None]
-"""A function of what is being done, and of the fraction of it that is done."""
 
 
 @dataclass(frozen=True)
@@ -110,16 +113,17 @@ class Arrangement:
 
 
 def arrange(
-    scales: Scales,
-    coupling: str,
+    configuration: FlockConfiguration,
     spans: FloatArray,
     on_progress: OnProgress = lambda what, done: None,
 ) -> Arrangement:
-    """Return the best orders of birds with the span ratios `spans`, shape (birds,), of any order.
+    """Return the best orders of birds with the span ratios `spans`, shape (birds,).
 
-    `coupling` is "nearest" or "all".
+    Coupling and standard bird are those of `configuration`, whose own birds do not matter.
+    `on_progress` is called with what is being done, and with the fraction of it that is done.
     """
-    kinds = Kinds.of(scales, coupling, spans)
+    coupling = configuration.coupling
+    kinds = Kinds.of(Scales.of(configuration), coupling, spans)
     if kinds.orders <= MOST_COUNTED:
         return _counted(kinds, on_progress)
     algorithm = HEURISTIC

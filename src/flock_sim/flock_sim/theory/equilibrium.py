@@ -190,7 +190,7 @@ def margins(
 
     `thrust_ratio` is as for `equilibrium`.
     """
-    ratio = np.ones_like(flock.span_ratio) if thrust_ratio is None else thrust_ratio
+    ratio = _thrust_ratios(flock, thrust_ratio)
     with np.errstate(over="ignore", invalid="ignore"):
         if flock.coupling == "nearest" or flock.birds == 1:
             square, share = nearest_shares(flock, ratio)
