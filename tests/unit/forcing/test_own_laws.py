@@ -73,6 +73,12 @@ def test_a_file_without_the_law_is_refused_in_one_line(
         assert {name for name in sys.modules if name.startswith("flock_law_")} == modules
 
 
+def test_a_file_without_the_name_of_a_law_is_no_law(tmp_path: Path) -> None:
+    path = law_file(tmp_path, PULL)
+    with pytest.raises(FlockError, match=r"laws\.py is a file: name a law in it, as .*py:LAW$"):
+        FlockConfiguration.given({"forcing": [str(path)]})
+
+
 def test_a_directory_is_no_file_of_laws(tmp_path: Path) -> None:
     (tmp_path / "laws.py").mkdir()
     with pytest.raises(FlockError, match=r"law file .*laws\.py: Is a directory; name a readable"):

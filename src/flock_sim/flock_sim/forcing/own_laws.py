@@ -182,6 +182,8 @@ def _function_in(module: ModuleType, name: str, called: str, file: Path) -> Law:
 def _installed(name: str) -> tuple[Law, str]:
     """Return the law of an installed package, and the digest of its source."""
     points = {point.name: point for point in entry_points(group=GROUP)}
+    if name.endswith(_FILE[:-1]):
+        raise FlockError(f"forcing: {name} is a file: name a law in it, as {name}:LAW")
     if name not in points:
         known = [*BUILT_IN, *points, *own_laws()]
         raise FlockError(f"forcing: unknown model {name!r}: {nearest(name, known)}")
