@@ -10,6 +10,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.forcing.forcing_table import MOST_TERMS
 from flock_sim.forcing.settings import read
+from flock_sim.reference.integrator import Reference
 
 # forcing -> words of the message: the value, the range, the fix
 REFUSED = [
@@ -89,6 +90,9 @@ def test_to_read_a_configuration_loads_no_law():
     configuration = FlockConfiguration.from_parameters({"forcing": ["/nowhere/laws.py:law:a=1"]})
     assert configuration.forcing_table.names == ("/nowhere/laws.py:law",)
     assert configuration.members == 1
+    with pytest.raises(FlockError, match=r"law '/nowhere/laws\.py:law' is not loaded") as caught:
+        Reference(configuration)
+    assert "FlockConfiguration.given" in str(caught.value)
 
 
 def test_values_are_those_of_the_members_or_the_defaults():

@@ -22,7 +22,14 @@ from typing import Any
 from flock_sim.errors import FlockError, nearest
 from flock_sim.forcing.law import Law
 from flock_sim.forcing.models import own_model
-from flock_sim.forcing.registry import BUILT_IN, add, digests_of, model_of, own_laws
+from flock_sim.forcing.registry import (
+    BUILT_IN,
+    add,
+    digests_of,
+    is_file_law,
+    model_of,
+    own_laws,
+)
 from flock_sim.links.source_digest import digest_of_source, source_digest
 
 GROUP = "flock.forcing"
@@ -31,13 +38,6 @@ GROUP = "flock.forcing"
 PLACES = "FLOCK_LAWS"
 """Environment variable, for child processes: JSON, the file of each law that is not where its name
 says."""
-
-_FILE = ".py:"
-
-
-def is_file_law(name: str) -> bool:
-    """Whether a law is named by its file."""
-    return _FILE in name
 
 
 def load(names: Iterable[str]) -> None:
@@ -182,7 +182,7 @@ def _function_in(module: ModuleType, name: str, called: str, file: Path) -> Law:
 def _installed(name: str) -> tuple[Law, str]:
     """Return the law of an installed package, and the digest of its source."""
     points = {point.name: point for point in entry_points(group=GROUP)}
-    if name.endswith(_FILE[:-1]):
+    if name.endswith(".py"):
         raise FlockError(f"forcing: {name} is a file: name a law in it, as {name}:LAW")
     if name not in points:
         known = [*BUILT_IN, *points, *own_laws()]

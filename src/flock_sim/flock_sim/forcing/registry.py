@@ -11,8 +11,15 @@ from flock_sim.forcing.models import CONSTANT, GUST, KEEPER, SINE, ForcingModel
 BUILT_IN = {model.name: model for model in (CONSTANT, SINE, KEEPER, GUST)}
 """The models of the package, by name."""
 
+_FILE = ".py:"
+
 _OWN: dict[str, ForcingModel] = {}
 """The laws of one's own, by the name by which a configuration has them."""
+
+
+def is_file_law(name: str) -> bool:
+    """Whether a law is named by its file."""
+    return _FILE in name
 
 
 def model_of(name: str) -> ForcingModel | None:
@@ -42,4 +49,9 @@ def add(model: ForcingModel) -> None:
 
 def unknown(called: str, name: str) -> FlockError:
     """Return the error for a model that this process does not have."""
+    if is_file_law(name):
+        return FlockError(
+            f"{called}: the law {name!r} is not loaded in this process: create the configuration "
+            "by FlockConfiguration.given, or call its load_laws"
+        )
     return FlockError(f"{called}: unknown model {name!r}: {nearest(name, [*BUILT_IN, *_OWN])}")
