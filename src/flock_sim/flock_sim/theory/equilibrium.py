@@ -183,9 +183,7 @@ def _worst_of_gaps(share: FloatArray) -> npt.NDArray[np.bool_]:
     return np.where(of_gap >= 0.5, bird < gap, bird >= gap) & (gap > 0)
 
 
-def margins(
-    flock: Flock, thrust_ratio: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
+def margins(flock: Flock, thrust_ratio: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Return U*^2 and the margins of all members of `flock`, both (members,), without spacings.
 
     `thrust_ratio` is as for `equilibrium`.
