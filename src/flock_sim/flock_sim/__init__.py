@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from flock_sim.reference.integrator import Reference as Reference
     from flock_sim.theory.arrangement import Arrangement as Arrangement
     from flock_sim.theory.arrangement import arrange as arrange
+    from flock_sim.response.linear_response import Gust as Gust
+    from flock_sim.response.linear_response import Response as Response
+    from flock_sim.response.linear_response import frequency_response as frequency_response
+    from flock_sim.response.linear_response import linear_response as linear_response
     from flock_sim.theory.delay_stability import Crossing as Crossing
     from flock_sim.theory.delay_stability import crossings as crossings
     from flock_sim.theory.delayed_nearest import DelayedNearest as DelayedNearest
@@ -49,10 +53,12 @@ _MODULES = {
     "FlockError": "errors",
     "FlockState": "physics.flock_state",
     "Limits": "theory.limit_search",
+    "Gust": "response.linear_response",
     "LinkModel": "links.models",
     "Metrics": "analysis.metrics",
     "Perturbation": "configuration.perturbation",
     "Reference": "reference.integrator",
+    "Response": "response.linear_response",
     "Run": "recording.run",
     "RunFailed": "errors",
     "Sensitivity": "theory.sensitivity",
@@ -62,6 +68,8 @@ _MODULES = {
     "equilibrium": "theory.equilibrium",
     "exact_limits": "theory.span_limits",
     "exact_thrust_limits": "theory.thrust_limits",
+    "frequency_response": "response.linear_response",
+    "linear_response": "response.linear_response",
     "register": "links.registry",
     "sensitivity": "theory.sensitivity",
 }

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from flock_sim.response.linear_response import frequency_response, neighbour_pairs, response
+from flock_sim.response.linear_response import frequency_response, linear_response, neighbour_pairs
 from flock_sim.theory.delayed_nearest import delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
 from support.linear_flocks import dense_response, mixed_flock, motion_of
@@ -22,7 +22,7 @@ def test_members_without_a_steady_state_have_no_response(coupling):
     ratios = np.ones((5, 3))
     ratios[1, 1] = 0.6
     ratios[1, 2] = 1.01
-    found = response(flock_of(5, ratios, coupling=coupling), gust=1e-5)
+    found = linear_response(flock_of(5, ratios, coupling=coupling), gust=1e-5)
     assert found.exists.tolist() == [True, False, True]
     assert found.stable.tolist() == [True, False, True]
     for name, value in members(found, 1).items():
@@ -30,7 +30,7 @@ def test_members_without_a_steady_state_have_no_response(coupling):
             assert np.isnan(value).all(), name
     # Every member is what it is alone, to the bit.
     for m in (0, 2):
-        alone = members(response(flock_of(5, ratios[:, m], coupling=coupling), gust=1e-5), 0)
+        alone = members(linear_response(flock_of(5, ratios[:, m], coupling=coupling), gust=1e-5), 0)
         for name, value in members(found, m).items():
             np.testing.assert_array_equal(value, alone[name], err_msg=name)
             finite = coupling == "nearest" or "gibbs" not in name
@@ -38,7 +38,7 @@ def test_members_without_a_steady_state_have_no_response(coupling):
 
 
 def test_a_bird_alone():
-    found = response(flock_of(1), gust=2e-5)
+    found = linear_response(flock_of(1), gust=2e-5)
     damping = motion_of(flock_of(1)).damping[0]
     expected = 2e-5 / np.sqrt(2.0 * damping)
     assert found.gust.bird_speed_std[0] == pytest.approx([expected], rel=1e-12)
@@ -55,7 +55,7 @@ def test_two_birds_by_hand():
     motion = motion_of(flock_of(2))
     stiffness = 2.0 * motion.pull[0, 1]
     damping = motion.damping[0] + motion.push[0, 1]
-    found = response(flock_of(2), gust=1e-5)
+    found = linear_response(flock_of(2), gust=1e-5)
     peak = np.sqrt(2.0) / (damping * np.sqrt(stiffness - 0.25 * damping**2))
     assert found.hinf_gaps[0] == pytest.approx(peak, rel=1e-12)
     at = np.sqrt(stiffness - 0.5 * damping**2)
@@ -71,12 +71,12 @@ def test_two_birds_by_hand():
 
 def test_a_flock_that_shakes_itself_apart_has_no_response():
     # Three geese that extrapolate over a lag of more than 41.8 lose stability.
-    found = response(flock_of(3), lag=43.0, model="linear", gust=1e-5)
+    found = linear_response(flock_of(3), lag=43.0, model="linear", gust=1e-5)
     assert found.exists.tolist() == [True]
     assert found.stable.tolist() == [False]
     assert np.isnan(found.hinf_gaps).all()
     assert np.isnan(found.gust.gap_std).all()
-    assert response(flock_of(3), lag=41.0, model="linear").stable.tolist() == [True]
+    assert linear_response(flock_of(3), lag=41.0, model="linear").stable.tolist() == [True]
 
 
 def test_the_spread_is_that_of_the_metrics():
@@ -89,7 +89,7 @@ def test_the_spread_is_that_of_the_metrics():
     density = (np.abs(apart) ** 2).sum(axis=2).mean(axis=1)
     # Beyond 0.2 a bird moves by its own acceleration only: the density is (4 / 5) / omega^2.
     integral = np.trapezoid(density, omega) + 0.8 / 0.2
-    found = response(flock, gust=1e-5).gust.speed_spread_rms[0]
+    found = linear_response(flock, gust=1e-5).gust.speed_spread_rms[0]
     assert found == pytest.approx(1e-5 * np.sqrt(integral / np.pi), rel=1e-4)
 
 
@@ -116,8 +116,8 @@ def test_neighbours_nearer_to_the_leader():
 
 def test_mirrored_flocks_have_mirrored_responses():
     ratios = mixed_flock(7).span_ratio[:, 0]
-    one = response(flock_of(7, ratios), gust=1e-5)
-    other = response(flock_of(7, ratios[::-1]), gust=1e-5)
+    one = linear_response(flock_of(7, ratios), gust=1e-5)
+    other = linear_response(flock_of(7, ratios[::-1]), gust=1e-5)
     np.testing.assert_allclose(one.hinf_gaps, other.hinf_gaps, rtol=1e-10)
     for name in ("speed_gain_peak", "speed_gain_frequency", "neighbour_gain_peak"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name)[:, ::-1], rtol=1e-9)
@@ -127,4 +127,4 @@ def test_mirrored_flocks_have_mirrored_responses():
 @pytest.mark.parametrize("bad", [{"lag": -1.0}, {"lag": np.nan}, {"lag": 1.0, "model": "exact"}])
 def test_bad_lags_are_refused(bad):
     with pytest.raises(ValueError, match="must be"):
-        response(flock_of(3), **bad)
+        linear_response(flock_of(3), **bad)

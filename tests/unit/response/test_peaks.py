@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flock_sim.response.frequencies import Frequencies
-from flock_sim.response.linear_response import response
+from flock_sim.response.linear_response import linear_response
 from flock_sim.response.peaks import peaks
 from support.linear_flocks import mixed_flock, responses, state_space
 
@@ -84,7 +84,7 @@ def test_the_norm_is_that_of_the_bisection(birds, coupling):
     flock = mixed_flock(birds, coupling)
     matrix, force = state_space(flock)
     output = np.eye(birds - 1, 2 * birds - 1)
-    found = response(flock)
+    found = linear_response(flock)
     expected = norm_by_bisection(matrix, force, output)
     assert found.hinf_gaps[0] == pytest.approx(expected, rel=3e-6)
     leader = force[:, [birds // 2]]
@@ -98,7 +98,7 @@ def test_the_norm_is_that_of_the_bisection(birds, coupling):
 def test_no_frequency_has_a_higher_gain(birds, seed, coupling, lag, model):
     flock = mixed_flock(birds, coupling, seed)
     curves = responses(flock, lag, model)
-    found = response(flock, lag=lag, model=model)
+    found = linear_response(flock, lag=lag, model=model)
     assert found.stable[0]
     resolved = Frequencies.of(curves).omega
     omega = np.concatenate([np.linspace(0.0, 0.03, 4001), np.geomspace(1e-7, 0.3, 500), resolved])

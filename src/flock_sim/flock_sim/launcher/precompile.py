@@ -130,13 +130,13 @@ def warm_sensitivity() -> None:
 def warm_response(coupling: str) -> None:
     """Do the same with the linear responses of flocks of one coupling."""
     from flock_sim.physics.flock import Flock
-    from flock_sim.response.linear_response import frequency_response, response
+    from flock_sim.response.linear_response import frequency_response, linear_response
     from flock_sim.theory.equilibrium import equilibrium
 
     flock = Flock.of(FlockConfiguration(birds=3, coupling=coupling))
-    response(flock, gust=1e-5)
+    linear_response(flock, gust=1e-5)
     frequency_response(flock, equilibrium(flock), 0.01)
-    response(flock, lag=1.0, model="hold")
+    linear_response(flock, lag=1.0, model="hold")
 
 
 def warm_integral() -> None:

@@ -61,6 +61,18 @@ class _Matrices:
         """Z: rows for v_1 and the gaps."""
         return np.asarray(np.linalg.inv(self.reduced))
 
+    def speed_logarithms(
+        self, answer: ComplexArray, slope: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return the logarithms of the speeds of all birds, (frequencies, birds), and slopes.
+
+        `answer` and its `slope` are v_1 and the gaps, shape (frequencies, birds, 1).
+        """
+        moved = self.behind @ answer[:, 1:]
+        speed = answer[:, :1] + self.root * moved
+        speed_slope = slope[:, :1] + moved + self.root * (self.behind @ slope[:, 1:])
+        return np.log(speed[:, :, 0]), (speed_slope / speed)[:, :, 0]
+
     def gap_slopes(self, force: ComplexArray | FloatArray) -> ComplexArray:
         """Return the derivative by s of the gaps' response to `force` (frequencies, birds, 1)."""
         return np.asarray(-(self.answer @ (self.reduced_slope @ (self.answer @ force)))[:, 1:, 0])
@@ -99,16 +111,11 @@ class Dense:
             shifted = part.root[:, 0, 0] + self.scale
             sign, size = np.linalg.slogdet(part.reduced)
             values[part.where, 0] = size + np.log(sign) - degree * np.log(shifted)
-            turned = np.einsum("kij,kji->k", part.answer, part.reduced_slope)
+            turned = (part.answer * part.reduced_slope.swapaxes(1, 2)).sum(axis=(1, 2))
             slopes[part.where, 0] = turned - degree / shifted
             answer = part.answer[:, :, [self._leader]]
             answer_slope = -(part.answer @ (part.reduced_slope @ answer))
-            moved = part.behind @ answer[:, 1:]
-            speed = answer[:, :1] + part.root * moved
-            speed_slope = (
-                answer_slope[:, :1] + moved + part.root * (part.behind @ answer_slope[:, 1:])
-            )
-            logarithm, slope = np.log(speed[:, :, 0]), (speed_slope / speed)[:, :, 0]
+            logarithm, slope = part.speed_logarithms(answer, answer_slope)
             own, own_slope = logarithm[:, self._leader], slope[:, self._leader]
             # the leader's own response times s is the quotient of both determinants
             values[part.where, 1] = values[part.where, 0] + own + np.log(shifted)
@@ -119,11 +126,16 @@ class Dense:
 
     def followings(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return log |u_i / u_leader|, (frequencies, birds), and its derivatives by omega."""
-        values, slopes = self.logarithms(omega)
-        gains, tilts = (np.zeros((len(omega), self.birds)) for _ in range(2))
-        gains[:, self._led] = values[:, 2:].real
-        tilts[:, self._led] = -slopes[:, 2:].imag
-        return gains, tilts
+        gains, slopes = (np.empty((len(omega), self.birds)) for _ in range(2))
+        force = np.zeros((self.birds, 1))
+        force[self._leader] = 1.0
+        for part in self._parts(omega):
+            answer = _solved(part.reduced, force)
+            answer_slope = -_solved(part.reduced, part.reduced_slope @ answer)
+            logarithm, slope = part.speed_logarithms(answer, answer_slope)
+            gains[part.where] = (logarithm - logarithm[:, [self._leader]]).real
+            slopes[part.where] = -(slope - slope[:, [self._leader]]).imag
+        return gains, slopes
 
     def from_leader(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log of the norm of all gaps per acceleration of the leader, and its slope."""
@@ -204,3 +216,7 @@ class Dense:
             common_slope=common_slope[:, :, np.newaxis],
             behind=formation.positions_by_gaps(self.birds),
         )
+
+
+def _solved(matrix: ComplexArray, force: FloatArray | ComplexArray) -> ComplexArray:
+    return np.asarray(np.linalg.solve(matrix, force), dtype=np.complex128)

@@ -102,7 +102,7 @@ class Response:
     gust: Gust | None
 
 
-def response(
+def linear_response(
     flock: Flock,
     *,
     lag: float = 0.0,
@@ -158,8 +158,8 @@ def frequency_response(
     `omega` are frequencies in U_min / b, 0 or more, shape (frequencies,) or one. The result has
     shape (frequencies, 2 birds - 1, birds): for each accelerated bird the complex amplitudes of all
     speeds, in b / U_min, and of all gaps x_{i+1} - x_i, in (b / U_min)^2, per U_min^2 / b. `state`
-    is the steady state at this `lag`; `lag` and `model` are as for `response`, `member` is an
-    index.
+    is the steady state at this `lag`; `lag` and `model` are as for `linear_response`, and `member`
+    is an index.
     """
     one = flock.select(np.array([member]))
     speed = float(state.speed[member])
