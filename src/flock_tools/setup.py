@@ -26,6 +26,7 @@ setup(
             "repair=flock_tools.commands.repair:main",
             "figures=flock_tools.commands.figures:main",
             "equilibrium=flock_tools.commands.equilibrium:main",
+            "response=flock_tools.commands.response:main",
             "limits=flock_tools.commands.limits:main",
             "arrange=flock_tools.commands.arrange:main",
             "survey=flock_tools.commands.survey:main",
