@@ -96,10 +96,15 @@ def test_what_is_said_of_recorded_flights_needs_no_compiler_and_no_ros(run: Path
     assert set(map(tuple, found.values())) == {("numpy",)}
 
 
-@pytest.mark.parametrize("tool", ["limits", "equilibrium"])
-def test_steady_states_of_nearest_neighbours_need_numba_alone(tool: str) -> None:
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [("limits", ()), ("equilibrium", ()), ("arrange", ("--spans", "1,1.01,0.99"))],
+)
+def test_steady_states_of_nearest_neighbours_need_numba_alone(
+    tool: str, arguments: tuple[str, ...]
+) -> None:
     module = f"flock_tools.commands.{tool}"
-    assert imports((module,)) == {module: ["numba", "numpy"]}
+    assert imports((module, *arguments)) == {module: ["numba", "numpy"]}
 
 
 def test_clock_and_recorder_need_no_compiler() -> None:

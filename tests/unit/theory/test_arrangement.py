@@ -126,6 +126,20 @@ def test_ten_birds_are_searched_as_exactly_as_tried(spread, monkeypatch):
     assert tried.orders == 1814400
 
 
+def test_an_order_at_the_edge_of_what_flies_is_proven_soon(monkeypatch):
+    # Halving the interval of W(all) is no help here: many begun orders can still have any W(all).
+    spans = [
+        0.987357564587992, 0.9881370631278178, 0.9885203061889665, 0.9900091043304408,
+        0.9913707007769649, 0.9960858865835, 0.9974552194038379, 1.000155839340559,
+        1.006362796663018, 1.0064944527534079, 1.0083928898171612, 1.0087275116866226,
+        1.009547403510078
+    ]  # fmt: skip
+    monkeypatch.setattr(arrangement_search, "MOST_WORK", 20_000_000)
+    found = arranged("nearest", np.array(spans))
+    assert found.method == "exact"
+    assert 0.0 < found.fastest_flying.margin < 1e-9
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_halved_intervals_change_no_result(seed, monkeypatch):
     spans = np.random.default_rng(seed).normal(1.0, (0.01, 0.05, 0.1)[seed % 3], 8)

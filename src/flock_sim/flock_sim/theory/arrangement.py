@@ -49,9 +49,10 @@ STARTS = 16
 """Starts of a local search, for few birds."""
 
 WORK = 2e8
-"""Pairs of birds in the orders that a local search tries, roughly: it has fewer starts if needed.
+"""Work of a local search: pairs of birds in all orders that it tries, about 2 N^3 a start.
 
-A start of N birds tries about N orders of 2 N^2 that one change makes.
+With all-to-all coupling, the worst sets cost as much as N / 8 times as many pairs. Large flocks
+have fewer starts.
 """
 
 EXACT, ALL_ORDERS, BOUNDED, HEURISTIC = "exact", "all orders", "branch and bound", "local search"
@@ -197,7 +198,7 @@ class _Search:
         self._exact = ChainSearch(kinds) if algorithm == BOUNDED else None
         pairs = kinds.birds - 1
         if kinds.coupling == "all":
-            pairs = kinds.birds * pairs // 2
+            pairs = kinds.birds * pairs // 2 * max(8, kinds.birds) // 8
         self._starts = int(np.clip(WORK / (2.0 * kinds.birds**3 * pairs), 1, STARTS))
 
     def quickest(self) -> Arranged | None:

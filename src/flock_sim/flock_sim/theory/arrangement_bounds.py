@@ -15,6 +15,9 @@ from flock_sim.physics.formation import TIP_SPACING, VORTEX_FRACTION
 from flock_sim.physics.interaction import even_part
 from flock_sim.theory.arrangement_orders import Kinds
 
+ROUNDING = 1e-13
+"""Bound of the rounding errors of W and n, relative to the largest W(all)."""
+
 
 class Tables(NamedTuple):
     """What the kernels need about the birds. A set of birds is a number in a mixed radix."""
@@ -29,6 +32,8 @@ class Tables(NamedTuple):
     saved: FloatArray
     """c_ab of each pair of kinds, shape (kinds, kinds); 0 where their vortices would meet."""
     cruise_ratio: float
+    rounding: float
+    """Bound of the rounding errors of W and n."""
 
 
 class Bounds(NamedTuple):
@@ -64,6 +69,7 @@ def tables_of(kinds: Kinds) -> Tables:
         placed @ (square * square),
         saved,
         kinds.scales.cruise_ratio,
+        ROUNDING * kinds.birds * float(saved.max()),
     )
 
 
@@ -97,31 +103,65 @@ def fill_bounds(
     tables: Tables, bounds: Bounds, margin: float, lowest: float, highest: float
 ) -> None:
     """Fill the bounds of all states, for margins above `margin` and W(all) in [lowest, highest]."""
-    count, radix, placed, squares, fourths, saved, ratio = tables
+    count, radix, placed, squares, fourths, saved, ratio, rounding = tables
     low, high, least, most = bounds
     sets, kinds = placed.shape
     slow = square_at(lowest, squares[-1], fourths[-1], ratio) if lowest > -inf else 0.0
     fast = square_at(highest, squares[-1], fourths[-1], ratio) if highest < inf else 0.0
-    low[:], high[:], least[:], most[:] = inf, -inf, inf, -inf
-    low[-1], high[-1], least[-1], most[-1] = lowest, highest, 0.0, 0.0
+    _fill_reached(tables, bounds, margin, slow, fast)
+    least[:], most[:] = inf, -inf
+    low[-1], high[-1] = np.maximum(low[-1], lowest), np.minimum(high[-1], highest)
+    least[-1], most[-1] = 0.0, 0.0
     for now in range(sets - 2, 0, -1):
         fewest, largest = need_between(squares[now], fourths[now], slow, fast, ratio)
-        for b in range(kinds):
-            if placed[now, b] == count[b]:
+        for a in range(kinds):
+            reached_low, reached_high = low[now, a], high[now, a]
+            low[now, a], high[now, a] = inf, -inf
+            if reached_low > reached_high:
                 continue
-            then = now + radix[b]
-            if not low[then, b] <= high[then, b]:
-                continue
-            for a in range(kinds):
+            for b in range(kinds):
                 pair = saved[a, b]
-                if placed[now, a] == 0 or pair == 0.0:
+                if placed[now, b] == count[b] or pair == 0.0:
                     continue
-                lower, upper = low[then, b] - pair, high[then, b] - pair
+                then = now + radix[b]
+                lower = max(reached_low, low[then, b] - pair)
+                upper = min(reached_high, high[then, b] - pair)
                 if margin > -inf:
                     lower = max(lower, fewest - (1.0 - margin) * pair)
                     upper = min(upper, largest - margin * pair)
-                if lower <= upper:
-                    low[now, a] = min(low[now, a], lower)
-                    high[now, a] = max(high[now, a], upper)
+                if lower <= upper + rounding:
+                    low[now, a] = min(low[now, a], lower, upper)
+                    high[now, a] = max(high[now, a], lower, upper)
                     least[now, a] = min(least[now, a], pair + least[then, b])
                     most[now, a] = max(most[now, a], pair + most[then, b])
+
+
+@kernel
+def _fill_reached(tables: Tables, bounds: Bounds, margin: float, slow: float, fast: float) -> None:
+    """Fill `low` and `high` with the W(Q) with which orders can reach each state from their start.
+
+    U*^2 is in [`slow`, `fast`].
+    """
+    count, radix, placed, squares, fourths, saved, ratio, rounding = tables
+    low, high, _, _ = bounds
+    sets, kinds = placed.shape
+    low[:], high[:] = inf, -inf
+    for b in range(kinds):
+        low[radix[b], b] = high[radix[b], b] = 0.0
+    for now in range(1, sets - 1):
+        fewest, largest = need_between(squares[now], fourths[now], slow, fast, ratio)
+        for a in range(kinds):
+            if low[now, a] > high[now, a]:
+                continue
+            for b in range(kinds):
+                pair = saved[a, b]
+                if placed[now, b] == count[b] or pair == 0.0:
+                    continue
+                lower, upper = low[now, a], high[now, a]
+                if margin > -inf:
+                    lower = max(lower, fewest - (1.0 - margin) * pair)
+                    upper = min(upper, largest - margin * pair)
+                if lower <= upper + rounding:
+                    then = now + radix[b]
+                    low[then, b] = min(low[then, b], lower + pair, upper + pair)
+                    high[then, b] = max(high[then, b], lower + pair, upper + pair)

@@ -19,14 +19,15 @@ is (n(Q) - W(Q)) / c_ab. So the margin of an order is above t exactly if for eve
 The fastest order is the path of largest sum of c through all birds: `Bounds.most` finds it in the
 manner of Held and Karp. Conditions on the margin concern W(Q), so they are no such path problem;
 but given that W(all) is in an interval, u is in one, and n(Q), a parabola of u, in one for each set
-Q. The states are the sets Q with their last birds a. From the end of the orders backwards,
-`fill_bounds` computes an interval of W(Q) for each state: those that (*) allows for some next bird
-b, with both ends of the interval of n(Q), and that the state of Q and b allows. All orders with
-W(all) and margin as wanted pass through states within their intervals, so nothing is lost; orders
-that pass need not be as wanted. A depth-first search, in lexicographic order, extends orders bird
-by bird within the intervals. With the least and the most that the remaining birds can save, it
-also narrows the interval of u, and tests (*) for all gaps so far again. If this takes too long, the
-interval of W(all) is halved, and both halves are searched with their own, narrower bounds.
+Q. The states are the sets Q with their last birds a. `fill_bounds` computes an interval of W(Q) for
+each state: from the start of the orders forwards, those that (*) allows for some bird b that
+follows, with both ends of the interval of n(Q); then from the end backwards, those of them from
+which (*) and the state of Q and b allow to go on. All orders with W(all) and margin as wanted pass
+through states within their intervals, so nothing is lost; orders that pass need not be as wanted. A
+depth-first search, in lexicographic order, extends orders bird by bird within the intervals. With
+the least and the most that the remaining birds can save, it also narrows the interval of u, and
+tests (*) for all gaps so far again. If this takes too long, the interval of W(all) is halved, and
+both halves are searched with their own, narrower bounds.
 """
 
 from __future__ import annotations
@@ -56,12 +57,12 @@ MOST_STATES = 2_500_000
 BUDGET = 200_000
 """Number of begun orders after which an interval is halved."""
 
+GROWTH = 1.1
+"""Growth of BUDGET with each halving, since narrower bounds may not help."""
+
 MOST_WORK = 500_000_000
 """Work after which the search gives up, a minute or more: begun orders, and half the states of all
 bounds."""
-
-ROUNDING = 1e-13
-"""Bound of the rounding errors of W and n, relative to the largest W(all)."""
 
 NONE, TIE_FOUND, BETTER_FOUND, STOPPED = 0, 1, 2, 3
 """Results of the search of an interval."""
@@ -101,7 +102,7 @@ class ChainSearch:
         balanced = self.tables.fourths[-1] - half * half / self.tables.squares[-1]
         self.most_saved = most
         """W(all) of the fastest order."""
-        rounding = ROUNDING * abs(most)
+        rounding = self.tables.rounding
         self.range = max(least - rounding, float(balanced)), most + rounding
         """Least and largest W(all) of orders that have a speed."""
 
@@ -149,32 +150,31 @@ class ChainSearch:
         if not bottom <= top:
             return None, False
         order = np.empty(int(self.tables.counts.sum()), dtype=np.int8)
-        rounding = ROUNDING * self.range[1]
+        rounding = self.tables.rounding
         work, best = 0, None
-        intervals = [(bottom, top)]
+        intervals = [(bottom, top, float(BUDGET))]
         while intervals:
-            low, high = intervals.pop()
+            low, high, budget = intervals.pop()
             on_progress((top - high) / max(top - bottom, rounding))
             fill_bounds(self.tables, self._bounds, wanted.margin, low, high)
             work += self.tables.placed.size // 2
-            budget = BUDGET if high - low > rounding else MOST_WORK
             result, begun = search(
                 self.tables,
                 self._bounds,
                 (wanted.margin, wanted.better_margin),
                 (low, high, wanted.better_saved),
-                rounding,
-                budget,
+                int(budget),
                 order,
             )
             work += begun
             if result == BETTER_FOUND:
                 return order, True
             if result == STOPPED:
-                if work >= MOST_WORK or budget == MOST_WORK:
+                if work >= MOST_WORK:
                     raise Unfinished
                 middle = 0.5 * (low + high)
-                intervals += [(low, middle), (middle, high)]
+                budget *= GROWTH
+                intervals += [(low, middle, budget), (middle, high, budget)]
             elif result == TIE_FOUND and (best is None or order.tolist() < best.tolist()):
                 best = order.copy()
         return best, False
@@ -194,7 +194,6 @@ def search(
     bounds: Bounds,
     margins: tuple[float, float],
     interval: tuple[float, float, float],
-    rounding: float,
     budget: int,
     order: OrderArray,
 ) -> tuple[int, int]:
@@ -203,7 +202,7 @@ def search(
     `margins` are the margin and the better margin of `Wanted`, `interval` is the least and the
     largest W(all), and the better one. The function fills `order`, shape (birds,), if one is found.
     """
-    count, radix, placed, squares, fourths, saved, ratio = tables
+    count, radix, placed, squares, fourths, saved, ratio, rounding = tables
     low, high, least, most = bounds
     margin, better_margin = margins
     lowest, highest, better_saved = interval

@@ -31,6 +31,9 @@ MOST_BIRDS = {"nearest": 60, "all": 25}
 SMALLEST, LARGEST = 0.01, 100.0
 """Span ratios that are accepted."""
 
+MOST_DIGITS = 10**15
+"""Number of orders from which on three digits are printed."""
+
 EXAMPLE = "0.96,0.98,1,1.02,1.04"
 
 NAMES = {
@@ -99,7 +102,8 @@ def _parser() -> Parser:
         "--spans",
         metavar="L1,L2,...",
         required=True,
-        help="wing spans of all birds over the standard span, in any order",
+        help="wing spans of all birds over the standard span, in any order; their number replaces "
+        "`birds` of the file",
     )
     add_flock_option(flock, "coupling")
     add_config_option(flock)
@@ -141,7 +145,8 @@ def as_json(found: Arrangement, seconds: float) -> dict[str, Any]:
 def described(found: Arrangement, configuration: FlockConfiguration, seconds: float) -> str:
     """Return the result as text."""
     kinds = found.kinds
-    orders = f"{found.orders:,} order{'s' * (found.orders > 1)}"
+    count = f"{found.orders:,}" if found.orders < MOST_DIGITS else f"{float(found.orders):.3g}"
+    orders = f"{count} order{'s' * (found.orders > 1)}"
     if found.flying is not None:
         flying = f"{found.flying:,}" if found.flying else "none"
         orders += f", {flying} can fly in formation"

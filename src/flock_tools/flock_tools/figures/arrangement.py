@@ -66,7 +66,8 @@ def draw_arrangement(found: Arrangement) -> Figure:
 
 def _heading(found: Arrangement) -> str:
     coupling = COUPLING_NAMES[found.kinds.coupling]
-    orders = f"{found.orders:,} order{'s' * (found.orders > 1)}"
+    count = f"{found.orders:,}" if found.orders < 10**15 else f"{float(found.orders):.3g}"
+    orders = f"{count} order{'s' * (found.orders > 1)}"
     text = f"{found.kinds.birds} birds, {coupling} coupling: {orders}"
     if found.flying is not None:
         text += f", {f'{found.flying:,}' if found.flying else 'none'} can fly in formation"
@@ -97,7 +98,7 @@ def _draw_orders(axes: Axes, found: Arrangement, results: dict[str, Arranged]) -
             clip_on=False, zorder=4, **style,
         )  # fmt: skip
     axes.set(
-        title="(a) " + ("all orders" if found.speed is not None else "the best orders"),
+        title="(a) " + _content(found),
         xlabel="margin",
         ylabel="speed $U^*$ ($U_{\\min}$)",
     )
@@ -114,6 +115,13 @@ def _draw_orders(axes: Axes, found: Arrangement, results: dict[str, Arranged]) -
     axes.grid(visible=True)
     if results:
         axes.legend(loc="lower left")
+
+
+def _content(found: Arrangement) -> str:
+    """Return what the panel of orders shows."""
+    if found.speed is None:
+        return "the best orders"
+    return "all orders" + " (dark: many)" * (len(found.speed) > MOST_POINTS)
 
 
 def _draw_order(axes: Axes, letter: str, name: str, result: Arranged) -> None:
