@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from flock_sim.physics.flock_state import FlockState as FlockState
     from flock_sim.recording.run import Run as Run
     from flock_sim.reference.integrator import Reference as Reference
-    from flock_sim.theory.arrangement import Arrangement as Arrangement
-    from flock_sim.theory.arrangement import arrange as arrange
     from flock_sim.response.linear_response import Gust as Gust
     from flock_sim.response.linear_response import Response as Response
     from flock_sim.response.linear_response import frequency_response as frequency_response
     from flock_sim.response.linear_response import linear_response as linear_response
+    from flock_sim.theory.arrangement import Arrangement as Arrangement
+    from flock_sim.theory.arrangement import arrange as arrange
     from flock_sim.theory.delay_stability import Crossing as Crossing
     from flock_sim.theory.delay_stability import crossings as crossings
     from flock_sim.theory.delayed_nearest import DelayedNearest as DelayedNearest

@@ -12,7 +12,7 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
-from flock_sim.response.linear_response import frequency_response, response
+from flock_sim.response.linear_response import frequency_response, linear_response
 from flock_sim.theory.delay_stability import steady_flight
 
 STEPS_A_PERIOD = (120, 240, 480, 720, 1440)
@@ -121,7 +121,7 @@ def test_gaps_in_gusts_have_the_standard_deviations_of_theory(
         ]
     )
     square = (gaps**2).mean(axis=0)  # of each gap and member; the mean of a linear response is 0
-    found = response(Flock.of(flown(coupling, links, ())), lag=lag, model="hold", gust=STD)
+    found = linear_response(Flock.of(flown(coupling, links, ())), lag=lag, model="hold", gust=STD)
     ratio = square / found.gust.gap_std[0][:, np.newaxis] ** 2
     error = ratio.std(axis=1, ddof=1) / np.sqrt(MEMBERS)
     assert error.max() <= 0.04  # of the square: 2 % of the standard deviation
