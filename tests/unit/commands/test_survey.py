@@ -216,6 +216,16 @@ def test_no_position_of_an_even_flock_is_called_the_leader(
     assert "the leader (" in text_of(tool, capsys, "--birds", "3", *arguments[2:])
 
 
+def test_the_figure_tells_distribution_coupling_and_links() -> None:
+    for distribution, told in (
+        (Distribution(0.03), "normal about 1"),
+        (Distribution.uniform(0.9, 1.1), "uniform from 0.9 to 1.1"),
+    ):
+        found = [survey(FlockConfiguration(birds=3), distribution, 50, 1, pool(1))]
+        title = draw_survey(found, "all").get_suptitle()
+        assert title == f"random span ratios, {told}; all-to-all coupling, exact links"
+
+
 def test_the_figure_names_the_last_position_of_odd_and_even_flocks(tmp_path: Path) -> None:
     for sizes, last in (((3, 5), "last: leader)"), ((4,), "middle two"), ((3, 4), "or middle two")):
         found = [

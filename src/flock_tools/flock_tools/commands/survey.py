@@ -94,7 +94,7 @@ def tool(arguments: Sequence[str]) -> int:
     if options.output is not None:
         from flock_tools.figures.survey import draw_survey  # matplotlib takes 0.5 s to import
 
-        write_picture(draw_survey(populations), options.output)
+        write_picture(draw_survey(populations, flocks[0].coupling), options.output)
         if not options.json:
             print(f"drawn: {options.output}")
     return 0

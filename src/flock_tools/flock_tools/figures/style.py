@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -10,6 +12,8 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.links.keys import NUMBERS, SEPARATOR
+from flock_sim.links.settings import parted
 from flock_sim.physics.arrays import FloatArray
 
 INK, FAINT, PALE = "#22303c", "#8a949d", "#bfc6cc"
@@ -67,10 +71,19 @@ PRINT_STYLE: dict[Any, Any] = {
 }
 """Style of figures that are drawn at their printed size."""
 
+UNITS = {"U_min": "$U_\\mathrm{min}$", "b/U_min": "b/$U_\\mathrm{min}$"}
+"""How units that are not plain text are written."""
+
 COUPLING_NAMES = {"nearest": "nearest-neighbour", "all": "all-to-all"}
 
 MOST_ODD = 4
 """Largest number of birds of another span that are named."""
+
+MOST_LINKS = 2
+"""Largest number of settings of links that are named."""
+
+LINE = 95
+"""Number of characters of a line of a title."""
 
 
 def saved_scale(saved: FloatArray) -> Normalize:
@@ -86,11 +99,16 @@ def saved_scale(saved: FloatArray) -> Normalize:
 
 
 def flock_name(configuration: FlockConfiguration, m: int) -> str:
-    """Return the name of the flock with index `m`: birds, coupling, birds of another span."""
+    """Return the name of the flock with index `m`: birds, coupling, links, birds of another span.
+
+    Links that are not exact have a line of their own.
+    """
     birds = configuration.birds
     name = f"{birds} bird{'s' * (birds > 1)}"
+    late = birds > 1 and not configuration.link_table.plain
     if birds > 1:
         name += f", {COUPLING_NAMES[configuration.coupling]} coupling"
+        name += "" if late else ", exact links"
     if configuration.members > 1:
         name += f", member {m + 1} of {configuration.members}"
     ratio = configuration.span_ratio[:, m]
@@ -99,4 +117,32 @@ def flock_name(configuration: FlockConfiguration, m: int) -> str:
         name += "".join(f", $\\lambda_{{{i + 1}}}$ = {ratio[i]:g}" for i in odd)
     elif len(odd):
         name += f", $\\lambda$ from {ratio.min():g} to {ratio.max():g}"
-    return name
+    return f"{name}\n{links_name(configuration.links, m)}" if late else name
+
+
+def links_name(links: Sequence[str], m: int) -> str:
+    """Return the settings of links in words, with the values of the member with index `m`.
+
+    If there are more than MOST_LINKS, it has the first of them, and the number of the others.
+    """
+    named = [_link_name(entry, m) for entry in links[:MOST_LINKS]]
+    if len(links) > MOST_LINKS:
+        named.append(f"{len(links) - MOST_LINKS} more")
+    return fill(f"links: {'; '.join(named)}", LINE)
+
+
+def _link_name(entry: str, m: int) -> str:
+    link, model, items = parted(entry)
+    facts = [_fact(key, values.split(SEPARATOR), m) for key, values in items]
+    birds = f"bird {link[0]} to bird {link[1]}: " if link else ""
+    return f"{birds}{model}{' with ' * bool(facts)}{', '.join(facts)}"
+
+
+def _fact(key: str, values: Sequence[str], m: int) -> str:
+    """Return the meaning, the value and the unit of one key of a link."""
+    value = values[m] if len(values) > 1 else values[0]
+    found = NUMBERS.get(key)
+    if found is None:
+        return f"{key} of position and speed {value}"
+    unit = "" if found.unit == "1" else f" {UNITS.get(found.unit, found.unit)}"
+    return f"{found.meaning} {value}{unit}"

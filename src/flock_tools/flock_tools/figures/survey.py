@@ -14,6 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, PercentFormatter
 from flock_tools.experiments.random_flocks import Population
 from flock_tools.figures.style import (
     BLUE,
+    COUPLING_NAMES,
     GREEN,
     ORANGE,
     PAGE,
@@ -27,14 +28,15 @@ COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, SKY)
 MARKERS = "osD^v"
 
 
-def draw_survey(populations: Sequence[Population]) -> Figure:
+def draw_survey(populations: Sequence[Population], coupling: str = "nearest") -> Figure:
     """Return the figure: (a) flocks that can fly against spread, (b) those that break by position.
 
+    `coupling` is that of the flocks, for the title.
     For each size of flock, (b) shows the spread at which closest to half of the flocks can fly.
     """
     sizes = sorted({population.birds for population in populations})
     with mpl.rc_context(PRINT_STYLE):
-        figure = Figure(figsize=(PAGE, 2.7), layout="constrained")
+        figure = Figure(figsize=(PAGE, 2.85), layout="constrained")
         left, right = figure.subplots(1, 2)
         for number, birds in enumerate(sizes):
             kind = {
@@ -49,15 +51,17 @@ def draw_survey(populations: Sequence[Population]) -> Figure:
             half = min(same, key=lambda population: abs(population.flying.value - 0.5))
             spread = f"{half.distribution.spread:.3g}"
             _positions(right, half, {**kind, "label": f"N = {birds}, spread {spread}"})
+        figure.suptitle(_title(populations, coupling), x=0.02, ha="left", fontsize=8)
         spreads = {population.distribution.spread for population in populations}
         if max(spreads) > 8.0 * min(spreads):
             left.set_xscale("log")
             left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             left.xaxis.set_major_formatter("{x:g}")
             left.xaxis.set_minor_formatter("")
+        scale = ", logarithmic" if left.get_xscale() == "log" else ""
         left.set(
             title="(a)",
-            xlabel="spread of span ratios $\\lambda$ (standard deviation)",
+            xlabel=f"spread of span ratios $\\lambda$ (standard deviation{scale})",
             ylabel="flocks that can fly in formation",
             ylim=(-0.03, 1.03),
         )
@@ -73,6 +77,12 @@ def draw_survey(populations: Sequence[Population]) -> Figure:
             axes.grid(visible=True)
             axes.legend(loc="best", fontsize=SMALL, title=title)
     return figure
+
+
+def _title(populations: Sequence[Population], coupling: str) -> str:
+    between = populations[0].distribution.between
+    kind = f"uniform from {between[0]:g} to {between[1]:g}" if between else "normal about 1"
+    return f"random span ratios, {kind}; {COUPLING_NAMES[coupling]} coupling, exact links"
 
 
 def _positions_label(sizes: Sequence[int]) -> str:
