@@ -11,6 +11,7 @@ from matplotlib.collections import PolyCollection
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
+from flock_sim.messages.types import State
 from flock_sim.recording.run import Run
 from flock_tools.commands import picture
 from flock_tools.commands.picture import tool
@@ -19,6 +20,7 @@ from flock_tools.figures.run_history import draw
 from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.runs.dataset import read
 from support.flights import Change, keep, record
+from support.legibility import cut_off, overlaps
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HETEROGENEOUS = FlockConfiguration(birds=7, t_max=100.0, span_ratios=("2=1.0,1.3", "6=0.8"))
@@ -81,6 +83,41 @@ def test_every_size_of_flock_is_drawn_with_nothing_cut_off(birds: int, tmp_path:
     assert len(outlines(figure)) == birds
     numbers = {text.get_text() for text in figure.axes[0].texts}
     assert {"1", str(birds // 2 + 1), str(birds)} <= numbers
+    assert not overlaps(figure)
+
+
+UNEQUAL = ("1=0.1", "2=1", "3=0.1", "4=3", "5=0.2", "8=4", "11=0.5", "12=0.6")
+
+
+@pytest.mark.parametrize("birds", [13, 101])
+def test_labels_of_very_unequal_birds_do_not_overlap(birds: int, tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=birds, t_max=10.0, span_ratios=UNEQUAL)
+    figure = drawn(record(tmp_path / "run", flown))
+    assert not overlaps(figure)
+    assert not cut_off(figure)
+    told = {text.get_text() for text in figure.axes[0].texts}
+    assert {"1", str(birds // 2 + 1), str(birds)} <= told
+
+
+def marked(figure, mark: str) -> list[tuple[float, float]]:
+    """Where a mark is drawn, in any panel of the formation."""
+    panels = (figure.axes[0], *figure.axes[0].child_axes)
+    lines = [line for panel in panels for line in panel.lines if line.get_marker() == mark]
+    return [(float(x), float(y)) for line in lines for x, y in line.get_xydata()]
+
+
+def test_larger_and_smaller_birds_are_marked_ahead_of_them(flight: Path) -> None:
+    with Run(flight) as run:
+        metrics = run.metrics()
+    for member, larger in ((1, []), (2, [1])):
+        figure = drawn(flight, member)
+        for mark, birds in (("+", larger), ("_", [5])):
+            found = marked(figure, mark)
+            assert [x for x, _ in found] == [metrics.lateral[member - 1][i] for i in birds]
+            assert all(y > metrics.position[member - 1][i] for (_, y), i in zip(found, birds))
+        told = " ".join(text.get_text() for text in figure.axes[0].texts)
+        assert ("larger bird" in told) == bool(larger)
+        assert "smaller bird" in told
 
 
 def test_the_colours_of_little_and_much_saved_differ_in_grey_print() -> None:
@@ -146,6 +183,85 @@ def test_an_even_flock_that_has_parted_in_halves_is_shown_around_one_half(
     for bird in range(1, birds // 2 + 1):
         start = -abs(bird - birds // 2 - 1) * (1.0 + np.pi / 4.0)
         assert any(text.startswith(f"{bird} at −{500.0 - start:.0f}"[:-1]) for text in told)
+
+
+def panels_of(figure) -> list:
+    """The panels of the parts of a formation, the main one first."""
+    return [figure.axes[0], *figure.axes[0].child_axes]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("birds", [2, 7, 13, 101])
+@pytest.mark.parametrize("far", [500.0, -500.0, 99_000.0])
+def test_each_part_of_a_flock_is_drawn_to_scale_with_its_numbers(
+    tmp_path: Path, birds: int, far: float
+) -> None:
+    flown = FlockConfiguration(birds=birds, t_max=10.0)
+    path = record(tmp_path / "run", flown, parted(birds, far))
+    figure = drawn(path)
+    assert not overlaps(figure)
+    assert not cut_off(figure)
+    with Run(path) as run:
+        metrics = run.metrics()
+    main, other = panels_of(figure)
+    scales, shown = [], []
+    for panel in (main, other):
+        box = panel.get_window_extent()
+        scales.append(box.width / np.ptp(panel.get_xlim()))
+        assert box.height / np.ptp(panel.get_ylim()) == pytest.approx(scales[-1], rel=1e-6)
+        wings = [c for c in panel.collections if isinstance(c, PolyCollection)][-1]
+        shown += [path.vertices for path in wings.get_paths()]
+    assert scales[0] == pytest.approx(scales[1], rel=1e-6)
+    assert other.get_window_extent().x0 == pytest.approx(main.get_window_extent().x0)
+    ahead = other.get_ylim()[0] > main.get_ylim()[1]
+    above = other.get_window_extent().y0 > main.get_window_extent().y1
+    assert ahead == above
+    assert len(shown) == birds
+    middles = sorted(0.5 * (wing[:, 0].min() + wing[:, 0].max()) for wing in shown)
+    assert middles == pytest.approx(metrics.lateral[0])
+    numbers = {text.get_text() for panel in (main, other) for text in panel.texts}
+    assert {"1", str(birds // 2 + 1), str(birds)} <= numbers
+    assert figure.get_figheight() < 2.2 * figure.get_figwidth()
+
+
+def test_what_is_left_out_between_two_parts_is_told(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=4, t_max=10.0)
+    main, other = panels_of(drawn(record(tmp_path / "run", flown, parted(4, 500.0))))
+    left_out = max(
+        other.get_ylim()[0] - main.get_ylim()[1], main.get_ylim()[0] - other.get_ylim()[1]
+    )
+    told = " ".join(text.get_text() for text in other.texts)
+    assert f"{left_out:.0f} b not shown" in told
+
+
+def scattered(bird: int, state: State) -> State:
+    return replace(state, position=state.position + 300.0 * bird * bird)
+
+
+@pytest.mark.parametrize("birds", [13, 101])
+def test_a_scattered_flock_has_a_page_of_usual_size(birds: int, tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=birds, t_max=10.0)
+    figure = drawn(record(tmp_path / "run", flown, scattered))
+    assert figure.get_figheight() < 2.6 * figure.get_figwidth()
+    assert not overlaps(figure)
+    assert not cut_off(figure)
+    told = " ".join(text.get_text() for text in figure.axes[0].texts)
+    assert " at " in told
+
+
+def test_a_scale_of_spacings_that_is_not_linear_says_so(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=4, t_max=10.0)
+    for far, scale, told in ((0.0, "linear", ""), (500.0, "symlog", "logarithmic beyond 10 b")):
+        spacings = drawn(record(tmp_path / f"{far}", flown, parted(4, far))).axes[-1]
+        assert spacings.get_ylabel().startswith("spacing")
+        assert spacings.get_yscale() == scale
+        assert told in spacings.get_title("left")
+
+
+def test_the_title_tells_the_links(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=3, t_max=10.0, links=("linear:delay=2,drop=0.1",))
+    title = drawn(record(tmp_path / "run", flown)).get_suptitle()
+    assert "links: linear with delay 2 steps, probability of loss 0.1" in title
 
 
 @pytest.mark.parametrize("far", [1e12, 1e64, 1e200])

@@ -6,13 +6,11 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from unittest import mock
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
@@ -31,6 +29,7 @@ from flock_tools.figures.modified_bird import CASES, draw_modified, modified_flo
 from flock_tools.figures.steady_states import SHOWN, draw_steady, steady_flocks
 from flock_tools.figures.style import COLUMN, PAGE, SMALL
 from flock_tools.figures.table import Table
+from support.legibility import cut_off, overlaps, texts
 from support.tool_runs import error_of
 
 FILES = [
@@ -239,34 +238,14 @@ def test_an_output_that_cannot_be_written_is_one_line_and_status_2(
 # Legibility
 
 
-def texts(figure: Figure) -> list[Text]:
-    """What is written in a figure: of ticks, only those that are shown."""
-    drawn: list[Text] = []
-    draw = Text.draw
-
-    def record(self: Text, renderer: object) -> None:
-        if self.get_visible() and self.get_text():
-            drawn.append(self)
-        draw(self, renderer)
-
-    figure.draw_without_rendering()  # lays it out
-    with mock.patch.object(Text, "draw", record):
-        figure.draw_without_rendering()
-    return list({id(text): text for text in drawn}.values())
-
-
 def check_legible(figure: Figure, overlap: float = 0.5) -> None:
     """Nothing written may be cut off, small, or on top of something else, by `overlap` in pt."""
     assert figure.get_figwidth() in (COLUMN, PAGE)
     found = texts(figure)
     assert len(found) > 5
     assert min(text.get_fontsize() for text in found) >= SMALL
-    first, last = np.moveaxis([text.get_window_extent().get_points() for text in found], 1, 0)
-    cut_off = (first < figure.bbox.min) | (last > figure.bbox.max)
-    assert not [text for text, cut in zip(found, cut_off.any(axis=1), strict=True) if cut]
-    common = np.minimum(last[:, None], last) - np.maximum(first[:, None], first)  # (text, text, 2)
-    on_top = np.triu(common.min(axis=2) > overlap * figure.dpi / 72.0, 1)
-    assert not [(found[i], found[j]) for i, j in np.argwhere(on_top)]
+    assert not cut_off(figure)
+    assert not overlaps(figure, overlap)
 
 
 def test_every_figure_can_be_read(equal, modified) -> None:

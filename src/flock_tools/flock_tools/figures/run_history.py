@@ -8,21 +8,40 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flock_sim.analysis.metrics import STABLE_BELOW, Metrics
 from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.figures.plan_view import PlanView, draw_formation
+from flock_tools.figures.labels import keep_apart
+from flock_tools.figures.plan_drawing import draw_formation
+from flock_tools.figures.plan_view import PlanView
 from flock_tools.figures.style import ALARM, FAINT, INK, STYLE, flock_name
 
-WIDTH = 9.0  # in
-MARGINS = 1.75  # in, beside the formation: labels and colour bar
-CURVES = 2.2  # in, height
+WIDTH = 9.0
+"""Width of the picture, in inches; all lengths on it are in inches."""
+
+LEFT, RIGHT = 0.85, 1.0
+"""Room beside the formation: for the labels of its axis, and for the colour scale."""
+
+LINE, ABOVE = 0.21, 0.42
+"""Height of a line of the heading, and of the room between it and the formation."""
+
+UNDER, TITLE = 0.55, 0.2
+"""Room below a panel, for its axis, and above a curve, for its title."""
+
+CURVES, BETWEEN = 2.2, 0.8
+"""Height of the curves, and the room between them."""
+
+SCALE, BESIDE = 0.14, 0.12
+"""Width of the colour scale, and its distance from the formation."""
+
 MOST_NAMED = 6
 """Largest number of spacings that are named."""
+
+WIDEST_GAP, LINEAR = 30.0, 10.0
+"""Spacing in b above which the axis of spacings is logarithmic, and its linear part."""
 
 TIME = "time t (b/$U_\\mathrm{min}$)"
 
@@ -41,30 +60,35 @@ def draw(
     the verdict on the member, if any.
     """
     view = PlanView.of(configuration, metrics, member - 1)
-    height = (WIDTH - MARGINS) * view.height / view.width
+    heading = _heading(configuration, metrics, means, verdicts, member - 1)
+    inch = (WIDTH - LEFT - RIGHT) / view.width
+    above, main, below = (inch * part for part in (view.above, view.height, view.below))
+    head = LINE * (heading.count("\n") + 1) + ABOVE
+    height = head + above + main + below + UNDER + TITLE + CURVES + UNDER
     with mpl.rc_context(STYLE):
-        figure = Figure(
-            figsize=(WIDTH, height + CURVES + 1.95),
-            layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1),
-        )
-        grid = figure.add_gridspec(2, 2, height_ratios=(height, CURVES))
-        figure.suptitle(
-            _heading(configuration, metrics, means, verdicts, member - 1),
-            x=0.02,
-            ha="left",
-            fontsize=10,
-        )
-        draw_formation(figure, figure.add_subplot(grid[0, :]), view)
+        figure = Figure(figsize=(WIDTH, height))
+
+        def place(left: float, bottom: float, width: float, tall: float) -> Axes:
+            return figure.add_axes((left / WIDTH, bottom / height, width / WIDTH, tall / height))
+
+        corner = {"x": 0.12 / WIDTH, "y": 1.0 - 0.1 / height, "ha": "left", "va": "top"}
+        figure.suptitle(heading, **corner, fontsize=10)
+        bottom = UNDER + CURVES + TITLE + UNDER + below
+        formation = place(LEFT, bottom, WIDTH - LEFT - RIGHT, main)
+        scale = place(WIDTH - RIGHT + BESIDE, bottom + 0.05 * main, SCALE, 0.9 * main)
+        labels = draw_formation(figure, formation, scale, view)
+        whole = WIDTH - LEFT - RIGHT
         if configuration.birds == 1:
-            curves = [_speed(figure.add_subplot(grid[1, :]), history)]
+            curves = [_speed(place(LEFT, UNDER, whole, CURVES), history)]
         else:
-            curves = [
-                _spread(figure.add_subplot(grid[1, 0]), history),
-                _spacings(figure.add_subplot(grid[1, 1]), history, metrics.leader),
-            ]
+            half = 0.5 * (whole - BETWEEN)
+            spread = place(LEFT, UNDER, half, CURVES)
+            spacings = place(LEFT + half + BETWEEN, UNDER, half, CURVES)
+            curves = [_spread(spread, history), _spacings(spacings, history, metrics.leader)]
         for axes in curves:
             axes.set(xlabel=TIME, xlim=(0.0, max(float(history.time[-1]), configuration.dt)))
             axes.axvline(metrics.t_final, color=FAINT, linewidth=0.8, linestyle=":", clip_on=False)
+        keep_apart(figure, labels)
     return figure
 
 
@@ -155,12 +179,11 @@ def _spacings(axes: Axes, history: xr.Dataset, leader: int) -> Axes:
             linestyle=dashed,
             label=f"{k + 1} to {k + 2}" if named else None,
         )
-    known = np.abs(gap[np.isfinite(gap)])
-    if known.max(initial=0.0) > 30.0:
-        axes.set_yscale("symlog", linthresh=10.0)
     right = "; right wing dashed" if gap.shape[1] > left else ""
     axes.set(ylabel=f"spacing (b{right})")
-    names = axes.legend(
+    if np.abs(gap[np.isfinite(gap)]).max(initial=0.0) > WIDEST_GAP:
+        _compress(axes)
+    axes.legend(
         title="birds",
         loc="upper left",
         bbox_to_anchor=(1.0, 1.04),
@@ -169,8 +192,21 @@ def _spacings(axes: Axes, history: xr.Dataset, leader: int) -> Axes:
         frameon=False,
         handlelength=1.2,
     )
-    names.set_in_layout(False)  # it uses the room below the colour bar
     return axes
+
+
+def _compress(axes: Axes) -> None:
+    """Make the axis of spacings logarithmic beyond LINEAR, and say so."""
+    axes.set_yscale("symlog", linthresh=LINEAR)
+    axes.yaxis.set_major_formatter(lambda gap, _: f"{gap:g}".replace("-", "−"))
+    bottom, top = axes.get_ylim()
+    for ends in ((LINEAR, top), (bottom, -LINEAR)):
+        if ends[0] < ends[1]:
+            axes.axhspan(*ends, color="#eef1f3", linewidth=0, zorder=0)
+    axes.set_ylim(bottom, top)
+    axes.set_title(
+        f"grey: logarithmic beyond {LINEAR:g} b", loc="left", fontsize=7.5, color=FAINT, pad=3.0
+    )
 
 
 def _spread_out(count: int) -> set[int]:
