@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
+from flock_sim.bag.directory import belongs_to_bag
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.messages.types import State
@@ -284,6 +285,20 @@ def test_the_picture_lies_beside_the_bag(flight: Path, capsys: pytest.CaptureFix
     assert (flight / "formation.png").exists()
     with Run(flight) as run:
         assert run.at().step == 100
+
+
+def test_each_member_has_a_picture_of_its_own(
+    flight: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for member, name in ((1, "formation.png"), (2, "formation_member_2.png")):
+        assert run_tool(tool, [str(flight), "--member", str(member)]) == 0
+        assert capsys.readouterr().out == f"{flight / name}\n"
+        assert (flight / name).read_bytes().startswith(PNG)
+        assert belongs_to_bag(name)
+    pictures = [(flight / name).read_bytes() for name in ("formation.png", name)]
+    assert pictures[0] != pictures[1]
+    for other in ("formation_member_.png", "formation_member_0.png", "formation_member_2.pdf"):
+        assert not belongs_to_bag(other)
 
 
 def test_the_curves_of_a_long_run_reach_its_end(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 METADATA_FILE = "metadata.yaml"
@@ -15,7 +16,10 @@ RESERVE_FILE = ".reserve"
 """Reserved disk space."""
 
 PICTURE_FILE = "formation.png"
-"""The picture that may be in the directory of a bag."""
+"""The picture of member 1 that may be in the directory of a bag."""
+
+_OF_MEMBER = re.compile(r"formation_member_[1-9]\d*\.png")
+"""The pictures of other members."""
 
 REPORT_FILE = "report.html"
 """The report that may be in the directory of a bag."""
@@ -55,16 +59,22 @@ def bag_files(directory: Path) -> list[Path]:
     )
 
 
+def picture_file(member: int) -> str:
+    """Return the name of the picture of `member` (from 1)."""
+    return PICTURE_FILE if member == 1 else f"formation_member_{member}.png"
+
+
 def is_written(name: str) -> bool:
     """Whether a recorder may be writing to a file of this name."""
     return name == NEW_FILE or is_recording(name)
 
 
 def belongs_to_bag(name: str) -> bool:
-    """Whether a file of this name may belong to a bag, its picture and report included."""
+    """Whether a file of this name may belong to a bag, its pictures and report included."""
     return (
         name
         in (METADATA_FILE, PART_FILE, RESERVE_FILE, COPY_FILE, NEW_FILE, PICTURE_FILE, REPORT_FILE)
+        or _OF_MEMBER.fullmatch(name) is not None
         or Path(name).suffix == ".mcap"
         or name.rstrip("-0123456789").endswith(f".mcap{DAMAGED}")
     )

@@ -23,11 +23,13 @@ MOST_TIMES = 2000
 
 DESCRIPTION = """\
 Draw the formation at one time, each bird coloured by the drag it saves, and below it two curves
-against time: the spread of the speeds, and the spacings along the wings."""
+against time: the spread of the speeds, and the spacings along the wings. Each part of a flock that
+has come apart is drawn in a panel of its own, on the same scale."""
 
 EXAMPLES = """\
   ./flock picture runs/demo                                  writes runs/demo/formation.png
   ./flock picture runs/demo --at 100 --output early.png
+  ./flock picture runs/three --member 2                      writes formation_member_2.png
   ./flock picture runs/three --member 2 --output second.pdf"""
 
 
@@ -40,12 +42,15 @@ def tool(arguments: Sequence[str]) -> int:
         "--member", metavar="M", default="1", help="number of the member to draw (1)"
     )
     parser.add_argument(
-        "--output", metavar="FILE", type=Path, help="file of the picture (RUN/formation.png)"
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="file of the picture (RUN/formation.png; of member M above 1, "
+        "RUN/formation_member_M.png)",
     )
     options = parser.parse_args(arguments)
     time = moment(options)
-    output = _output(options)
-    check_picture(output)
+    check_picture(options.output)
 
     from flock_sim.recording.run import Run
     from flock_tools.figures.run_history import draw
@@ -54,6 +59,8 @@ def tool(arguments: Sequence[str]) -> int:
         if run.missing:
             note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
+        output = _output(options, member)
+        check_picture(output)
         metrics, verdicts = run.metrics(time), run.verdicts(time)
         means = run.time_means(metrics.t_final)
         history = _history(run).sel(member=member)
@@ -77,13 +84,13 @@ def _history(run: Run) -> xr.Dataset:
     return xr.concat([history, read(run, start=end.time)], "time", data_vars="minimal")
 
 
-def _output(options: argparse.Namespace) -> Path:
+def _output(options: argparse.Namespace, member: int) -> Path:
     if options.output is not None:
         return Path(options.output)
-    from flock_sim.bag.directory import PICTURE_FILE
+    from flock_sim.bag.directory import picture_file
 
     run = Path(options.run)
-    return (run if run.is_dir() else run.parent) / PICTURE_FILE
+    return (run if run.is_dir() else run.parent) / picture_file(member)
 
 
 def main() -> int:
