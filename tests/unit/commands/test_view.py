@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PolyCollection, TriMesh
+from matplotlib.figure import Figure
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
@@ -17,9 +18,14 @@ from flock_sim.messages.types import State
 from flock_sim.recording.run import Run
 from flock_tools.commands.view import period, tool
 from flock_tools.figures import output as output_module
-from flock_tools.scene.picture import Camera, draw_scene, polygons, scene_of
+from flock_tools.scene.bird_mesh import BIRD
+from flock_tools.scene.camera import Camera
+from flock_tools.scene.panel import polygons
+from flock_tools.scene.picture import MOST_INSETS, ROWS, draw_scene, scene_of
 from flock_tools.scene.shapes import scene
-from support.flights import record
+from flock_tools.scene.wake import PLANE_ROWS
+from support.flights import Change, keep, record
+from support.legibility import cut_off, overlaps
 from unit.scene.test_shapes import snapshot
 
 TWO = FlockConfiguration(birds=3, t_max=40.0, span_ratios=("1=0.9,1.0",))
@@ -55,6 +61,92 @@ def test_all_of_the_scene_is_on_the_picture(flight: Path) -> None:
                 assert (path.vertices >= 0.0).all()
                 assert (path.vertices <= (axes.get_xlim()[1], axes.get_ylim()[1])).all()
     assert {text.get_text().partition("\n")[0] for text in axes.texts} >= {"1", "2", "3"}
+
+
+def drawn(tmp_path: Path, flown: FlockConfiguration, change: Change = keep) -> Figure:
+    with Run(record(tmp_path / "run", flown, change)) as run:
+        return draw_scene(scene_of(run, None, 0))
+
+
+def test_air_has_smooth_opaque_colours_of_which_rising_is_darker(flight: Path) -> None:
+    with Run(flight) as run:
+        shown = scene_of(run, None, 1)
+    figure = draw_scene(shown)
+    plane, wakes = (c for c in figure.axes[0].collections if isinstance(c, TriMesh))
+    assert shown.upwash.shape[0] == ROWS > PLANE_ROWS
+    colours = plane.get_facecolor()
+    assert (colours[:, 3] == 1.0).all()
+    assert (wakes.get_facecolor()[:, 3] == 1.0).all()
+    lightness = colours[:, :3] @ (0.2126, 0.7152, 0.0722)
+    upwash = shown.upwash.ravel()
+    still = np.abs(upwash) < 0.01 * shown.most_upwash
+    assert lightness[upwash > 0.1].max() < lightness[still].min()
+    assert lightness[still].max() < lightness[upwash < -0.1].min()
+
+
+def test_a_picture_has_a_bar_and_the_direction_of_flight(flight: Path) -> None:
+    with Run(flight) as run:
+        figure = draw_scene(scene_of(run, None, 1))
+    told = {text.get_text().strip() for text in figure.axes[0].texts}
+    assert {"1 m", "flight"} <= told
+
+
+def test_labels_tell_other_spans_and_the_title_the_links(tmp_path: Path) -> None:
+    flown = FlockConfiguration(birds=5, t_max=10.0, span_ratios=("2=0.9",), links=("hold:delay=3",))
+    figure = drawn(tmp_path, flown)
+    second = [text.get_text() for text in figure.axes[0].texts if text.get_text()[0] == "2"]
+    assert second[0].split("\n")[1] == "$\\lambda$ = 0.9"
+    assert "links: hold with delay 3 steps" in figure.texts[0].get_text()
+
+
+@pytest.mark.parametrize("birds", [1, 2, 7, 13, 101])
+def test_labels_of_any_flock_do_not_overlap(tmp_path: Path, birds: int) -> None:
+    spans = ("1=0.1", "3=0.1", "4=3", "5=0.2") if birds > 10 else ()
+    figure = drawn(tmp_path, FlockConfiguration(birds=birds, t_max=10.0, span_ratios=spans))
+    assert not overlaps(figure)
+    assert not cut_off(figure)
+    told = {text.get_text().partition("\n")[0] for text in figure.axes[0].texts}
+    assert {"1", str(birds // 2 + 1), str(birds)} <= told
+
+
+def moved(first: int, far: float) -> Change:
+    return lambda bird, state: (
+        replace(state, position=state.position + far) if bird >= first else state
+    )
+
+
+@pytest.mark.parametrize("far", [400.0, -400.0, 1e8])
+@pytest.mark.parametrize(("birds", "first"), [(2, 2), (13, 10), (13, 13), (101, 90)])
+def test_a_part_that_is_far_away_is_an_inset(
+    tmp_path: Path, birds: int, first: int, far: float
+) -> None:
+    figure = drawn(tmp_path, FlockConfiguration(birds=birds, t_max=10.0), moved(first, far))
+    assert not overlaps(figure)
+    assert not cut_off(figure)
+    # The two parts of two birds are equally large: the upper one is drawn first.
+    main, inset = figure.axes[:2]
+    faces = [
+        len(next(c for c in axes.collections if type(c) is PolyCollection).get_paths())
+        for axes in (main, inset)
+    ]
+    assert sum(faces) == birds * len(BIRD)
+    assert faces[0] == len(BIRD) * max(first - 1, birds - first + 1)
+    caption = figure.texts[1].get_text()
+    assert caption.startswith("bird")
+    assert ("ahead of" in caption) != ("behind" in caption)
+    assert figure.get_figheight() < 1.6 * figure.get_figwidth()
+
+
+def test_a_scattered_flock_has_the_largest_parts_and_tells_of_the_others(tmp_path: Path) -> None:
+    def scattered(bird: int, state: State) -> State:
+        return replace(state, position=state.position + 300.0 * bird * bird)
+
+    figure = drawn(tmp_path, FlockConfiguration(birds=13, t_max=10.0), scattered)
+    assert "8 birds far from all others not drawn" in figure.texts[0].get_text()
+    assert len(figure.texts) == 1 + MOST_INSETS
+    assert figure.get_figheight() < 2.0 * figure.get_figwidth()
+    assert not overlaps(figure)
+    assert not cut_off(figure)
 
 
 def test_trails_come_from_the_bag(flight: Path) -> None:

@@ -123,6 +123,23 @@ def test_ribbons_are_coloured_by_where_the_air_goes() -> None:
     assert (redness[~outside] < 0.02).all()
 
 
+def test_rising_air_is_darker_than_sinking_air_in_grey_print() -> None:
+    lightness = UPWASH(np.linspace(0.0, 1.0, 64))[:, :3] @ (0.2126, 0.7152, 0.0722)
+    assert (np.diff(lightness) < 0.0).all()
+    assert lightness[0] > 0.9
+    assert lightness[-1] < 0.15
+
+
+def test_a_plane_of_more_rows_has_finer_cells_in_the_same_place() -> None:
+    (usual,), (fine,) = (
+        group(scene(snapshot(), rows=rows), "upwash") for rows in (wake.PLANE_ROWS, 48)
+    )
+    assert len(fine.points) == 4 * len(usual.points)
+    assert fine.scale[2] == pytest.approx(0.5 * usual.scale[2])
+    reach = [np.abs(plane.points[:, 2]).max() + 0.5 * plane.scale[2] for plane in (usual, fine)]
+    assert reach[0] == pytest.approx(reach[1])
+
+
 def test_the_plane_is_behind_the_flock_and_the_image_is_its_upwash_in_si_units() -> None:
     shown = snapshot()
     result = scene(shown)

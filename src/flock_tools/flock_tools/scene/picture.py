@@ -4,26 +4,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 
 from flock_sim.messages.types import BILLION
 from flock_sim.physics import formation
-from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.recording.run import Run
+from flock_tools.figures.labels import keep_apart
+from flock_tools.figures.parts import parts
 from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
-from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
+from flock_tools.scene.panel import Panel
+from flock_tools.scene.shapes import UPWASH, Scene, scene
 from flock_tools.scene.snapshot import Snapshot
+from flock_tools.scene.wake import LONGEST
 
 WIDTH = 10.0
 """Width of the picture, in inches."""
@@ -31,17 +31,35 @@ WIDTH = 10.0
 BARS = 0.75
 """Height of the room for colour bars, in inches."""
 
-ELEVATION, AZIMUTH = 30.0, 15.0
-"""Direction of view, in degrees: from in front of the flock, above and a little to its left."""
+LINE, ROOM = 0.21, 0.15
+"""Height of a line of the title, and room beside all lines, in inches."""
 
-DISTANCE = 1.6
-"""Distance of the camera from the middle of the scene, over the scene's diagonal."""
+CAPTION = 0.35
+"""Height of the room for the captions of insets, in inches."""
 
-MARGIN = 0.03
-"""Margin beside the scene, over its width."""
+HIGHEST = 0.5
+"""Largest height of the row of insets, over the width of the picture."""
+
+NARROWEST = 0.24
+"""Smallest width of an inset, over that of the picture: its caption needs room."""
+
+MOST_INSETS = 4
+"""Largest number of insets. They show the largest parts."""
+
+MOST_LISTED = 4
+"""Largest number of birds that a caption lists."""
+
+MOST_DIGITS = 1e6
+"""Distance in b from which on it is written with an exponent."""
 
 MOST_TRAIL = 300
 """Largest number of points of a trail, approximately."""
+
+ROWS = 48
+"""Number of rows of cells of the plane behind the flock."""
+
+APART = 0.25
+"""Largest gap along the flight within a part, over the extent of the flock across it."""
 
 
 def scene_of(run: Run, time: float | None, m: int) -> Scene:
@@ -55,147 +73,103 @@ def scene_of(run: Run, time: float | None, m: int) -> Scene:
     rows = state.step // configuration.record_every + 1
     history = read(run, end=state.time, stride=-(-rows // MOST_TRAIL)).position[..., m]
     leader = history.sel(bird=formation.leader(configuration.birds))
-    return scene(snapshot, list((history - leader).transpose("time", "bird").to_numpy()))
+    return scene(snapshot, list((history - leader).transpose("time", "bird").to_numpy()), ROWS)
 
 
 def draw_scene(shown: Scene) -> Figure:
-    """Return the picture of a scene. Without a bird, it says so."""
-    if not shown.snapshot.known.any():
+    """Return the picture of a scene. Without a bird, it says so.
+
+    The part of the flock with the bird in the middle is drawn largest, other parts below it.
+    """
+    snapshot = shown.snapshot
+    if not snapshot.known.any():
         return _empty(shown)
-    groups = {
-        name: [shape for shape in shown.shapes if shape.group == name]
-        for name in ("upwash", "wakes", "trails", "birds", "labels")
-    }
-    camera = Camera.at([shape for name in groups for shape in groups[name] if name != "trails"])
+    main, *others = scene_parts(snapshot)
+    panel = Panel.of(shown, main, with_plane=True)
+    insets = [Panel.of(shown, part, with_plane=False) for part in others[:MOST_INSETS]]
+    widths = _widths(panel, insets)
+    row = max((w * inset.camera.height for w, inset in zip(widths, insets)), default=0.0)
+    row = WIDTH * row + CAPTION if insets else 0.0
+    title = _title(snapshot, others[MOST_INSETS:])
+    head = LINE * (title.count("\n") + 1) + ROOM
+    tall = WIDTH * panel.camera.height
+    height = BARS + row + tall + head
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, WIDTH * camera.height + BARS))
-        share = BARS / figure.get_figheight()
-        axes = figure.add_axes((0.0, share, 1.0, 1.0 - share))
-        axes.set(xlim=(0.0, 1.0), ylim=(0.0, camera.height))
-        axes.set_axis_off()
-        for name in ("upwash", "wakes"):
-            _draw_faces(axes, camera, groups[name])
-        for shape in groups["trails"]:
-            _draw_trail(axes, camera, shape, groups["upwash"])
-        _draw_faces(axes, camera, groups["birds"])
-        for shape in groups["labels"]:
-            (place,), _ = camera.see(np.array([shape.origin]))
-            label = axes.text(
-                place[0], place[1], shape.text, ha="center", va="bottom", fontsize=7.0
-            )
-            label.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-        axes.text(
-            0.02, 0.98, _title(shown.snapshot), transform=axes.transAxes, va="top", fontsize=10
-        )
-        saved = ScalarMappable(saved_scale(shown.snapshot.saved), DRAG_SAVED)
+        figure = Figure(figsize=(WIDTH, height))
+        figure.text(0.02, 1.0 - 0.5 * ROOM / height, title, va="top", fontsize=10)
+        bottom = BARS + row
+        labels = panel.draw(figure.add_axes((0.0, bottom / height, 1.0, tall / height)))
+        captions: list[Text] = []
+        left = 0.0
+        for inset, width in zip(insets, widths):
+            inset_height = WIDTH * width * inset.camera.height
+            top = bottom - CAPTION
+            box = (left, (top - inset_height) / height, width, inset_height / height)
+            labels += inset.draw(figure.add_axes(box))
+            place = (left + 0.02, (bottom - 0.5 * CAPTION) / height)
+            captions.append(figure.text(*place, _caption(inset), va="center", fontsize=8.5))
+            left += width
+        saved = ScalarMappable(saved_scale(snapshot.saved), DRAG_SAVED)
         _bar(figure, 0.07, saved, "drag reduction $\\eta_i$ (%)")
         air = ScalarMappable(Normalize(-shown.most_upwash, shown.most_upwash), UPWASH)
-        _bar(figure, 0.57, air, "upward air speed (m/s)")
+        _bar(figure, 0.57, air, "upward air speed (m/s): pale air sinks, dark air rises")
+        keep_apart(figure, [*captions, *labels])
     return figure
+
+
+def scene_parts(snapshot: Snapshot) -> list[IntArray]:
+    """Return the indices of the birds of each part: that in the middle, then the largest ones."""
+    along = np.where(snapshot.known, snapshot.along, np.nan)
+    extent = float(np.ptp(snapshot.lateral))
+    found = parts(along, max(LONGEST, APART * extent), np.inf)
+    middle = formation.middle_position(along[snapshot.known])
+    return sorted(found, key=lambda part: (middle not in along[part], -len(part)))
+
+
+def _widths(panel: Panel, insets: Sequence[Panel]) -> FloatArray:
+    """Return the widths of insets over that of the picture, on the scale of `panel` if they fit.
+
+    They are side by side.
+    """
+    widths = np.array([max(NARROWEST, one.camera.scope / panel.camera.scope) for one in insets])
+    if not insets:
+        return widths
+    heights = widths * [one.camera.height for one in insets]
+    return widths * min(1.0, 1.0 / float(widths.sum()), HIGHEST / float(heights.max()))
 
 
 def _empty(shown: Scene) -> Figure:
     """Return the picture of a flock of which no bird can be drawn."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 2.0))
-        figure.text(0.02, 0.92, _title(shown.snapshot), va="top", fontsize=10)
+        figure.text(0.02, 0.92, _title(shown.snapshot, []), va="top", fontsize=10)
         figure.text(0.5, 0.4, "no bird has a finite position and circulation", ha="center")
     return figure
 
 
-@dataclass(frozen=True)
-class Camera:
-    """The position and direction of the camera, and the part of its view in the picture."""
-
-    place: FloatArray
-    axes: FloatArray
-    """Unit vectors to the right, up, and into the scene, shape (3, 3)."""
-    low: FloatArray
-    width: float
-    height: float
-    """Height of the picture, over its width."""
-
-    @classmethod
-    def at(cls, shapes: Sequence[Shape]) -> Self:
-        """Return the camera that sees all of `shapes`."""
-        points = np.concatenate([*(shape.points + shape.origin for shape in shapes)])
-        low, high = points.min(axis=0), points.max(axis=0)
-        azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
-        into = -np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        )
-        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-        axes = np.stack([right, np.cross(right, into), into])
-        place = 0.5 * (low + high) - DISTANCE * float(np.linalg.norm(high - low)) * into
-        unframed = cls(place, axes, np.zeros(2), 1.0, 1.0)
-        seen, _ = unframed.see(points)
-        least, extent = seen.min(axis=0), np.ptp(seen, axis=0)
-        margin = MARGIN * extent[0]
-        width = extent[0] + 2.0 * margin
-        height = (extent[1] + 3.0 * margin) / width
-        return cls(place, axes, least - margin, width, height)
-
-    def see(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the places of points (..., 3) on the picture, (..., 2), and their distances."""
-        seen = (points - self.place) @ self.axes.T
-        return (seen[..., :2] / seen[..., 2:] - self.low) / self.width, seen[..., 2]
-
-
-def _draw_faces(axes: Axes, camera: Camera, shapes: Sequence[Shape]) -> None:
-    """Draw the faces of `shapes`, the nearest on top, on a white background."""
-    if not shapes:
-        return
-    corners = [polygon for shape in shapes for polygon in polygons(shape)]
-    colours = np.concatenate([_face_colours(shape) for shape in shapes])
-    opaque = 1.0 - colours[:, 3:] * (1.0 - colours[:, :3])
-    seen = [camera.see(polygon) for polygon in corners]
-    order = np.argsort([-float(depth.mean()) for _, depth in seen])
-    axes.add_collection(
-        PolyCollection(
-            [seen[k][0] for k in order],
-            facecolors=opaque[order],
-            edgecolors=opaque[order],
-            linewidths=0.25,
-        )
-    )
-
-
-def _draw_trail(axes: Axes, camera: Camera, trail: Shape, plane: Sequence[Shape]) -> None:
-    """Draw the part of a trail that is in front of the plane."""
-    ends = np.stack([trail.points[:-1], trail.points[1:]], axis=1)
-    behind = max((float(shape.points[0, 0]) for shape in plane), default=-np.inf)
-    front = (ends[..., 0] > behind).all(axis=1)
-    seen, _ = camera.see(ends[front])
-    axes.add_collection(LineCollection(list(seen), colors=trail.colours[1:][front], linewidths=0.9))
-
-
-def polygons(shape: Shape) -> FloatArray:
-    """Return the corners of each face of a shape. A thin cube is a face of four corners."""
-    if shape.kind == Kind.TRIANGLES:
-        return np.asarray(shape.points.reshape(-1, 3, 3) + shape.origin)
-    thin = int(np.argmin(shape.scale))
-    across, along = (axis for axis in range(3) if axis != thin)
-    corners = np.zeros((4, 3))
-    corners[:, across] = 0.5 * shape.scale[across] * np.array([-1.0, 1.0, 1.0, -1.0])
-    corners[:, along] = 0.5 * shape.scale[along] * np.array([-1.0, -1.0, 1.0, 1.0])
-    return np.asarray(shape.points[:, np.newaxis] + corners + shape.origin)
-
-
-def _face_colours(shape: Shape) -> FloatArray:
-    """Return one colour per face: the mean of its corners' colours."""
-    if shape.kind == Kind.TRIANGLES:
-        return np.asarray(shape.colours.reshape(-1, 3, 4).mean(axis=1))
-    return shape.colours
-
-
-def _title(snapshot: Snapshot) -> str:
+def _title(snapshot: Snapshot, left_out: Sequence[IntArray]) -> str:
     name = flock_name(snapshot.configuration, snapshot.member)
     saved = np.mean(snapshot.saved)
-    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
+    title = f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
+    if count := sum(len(part) for part in left_out):
+        title += f";  {count} bird{'s' * (count > 1)} far from all others not drawn"
+    return title
+
+
+def _caption(inset: Panel) -> str:
+    """Return which birds an inset shows, and where they are."""
+    birds, snapshot = inset.birds, inset.snapshot
+    numbers = sorted(int(i) + 1 for i in birds)
+    if len(numbers) == 1:
+        name = f"bird {numbers[0]}"
+    elif numbers == list(range(numbers[0], numbers[-1] + 1)):
+        name = f"birds {numbers[0]} to {numbers[-1]}"
+    else:
+        listed = ", ".join(str(number) for number in numbers)
+        name = f"{len(numbers)} birds" if len(numbers) > MOST_LISTED else f"birds {listed}"
+    along = float(np.mean(snapshot.along[birds]))
+    far = f"{abs(along):.0f}" if abs(along) < MOST_DIGITS else f"{abs(along):.3g}"
+    return f"{name}: {far} b {'ahead of' if along > 0.0 else 'behind'} the leader"
 
 
 def _bar(figure: Figure, left: float, colours: ScalarMappable, name: str) -> None:

@@ -11,10 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.figures.style import DRAG_SAVED, saved_scale
@@ -22,8 +21,11 @@ from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
 from flock_tools.scene.snapshot import Snapshot
 
-UPWASH = mpl.colormaps["RdGy_r"]
-"""Downward air is grey. Upward air, which saves drag, is red. No bird has these colours."""
+UPWASH = LinearSegmentedColormap.from_list(
+    "upwash", ["#f1f2fb", "#d0d1d6", "#adadad", "#b9604f", "#6b0a18"]
+)
+"""Sinking air is pale. Rising air, which saves drag, is red. The faster it rises, the darker it is,
+so the two differ in a grey print, too. No bird has these colours."""
 
 INK = (0.55, 0.6, 0.65, 1.0)
 """Colour of text and trails, visible on black and on white."""
@@ -70,8 +72,13 @@ class Scene:
     """End of the colour scale of upwash, in m/s: twice the downwash far behind one bird."""
 
 
-def scene(snapshot: Snapshot, trail: Sequence[FloatArray] = ()) -> Scene:
-    """Return the scene of `snapshot`. `trail` has earlier values of `along`, oldest first."""
+def scene(
+    snapshot: Snapshot, trail: Sequence[FloatArray] = (), rows: int = wake.PLANE_ROWS
+) -> Scene:
+    """Return the scene of `snapshot`. `trail` has earlier values of `along`, oldest first.
+
+    `rows` is the number of rows of cells of the plane behind the flock.
+    """
     metre, speed = snapshot.metre, snapshot.configuration.min_drag_speed
     known = snapshot.known
     shapes = list(_birds(snapshot))
@@ -89,7 +96,7 @@ def scene(snapshot: Snapshot, trail: Sequence[FloatArray] = ()) -> Scene:
     if not 0.0 < most < np.inf:  # impossible in a flight, but messages may have it
         return nothing
     scale = Normalize(-most, most, clip=True)
-    plane = wake.plane(air)
+    plane = wake.plane(air, rows)
     shapes += _ribbons(snapshot, air, plane.position, scale)
     shapes.append(_plane(plane, metre, scale))
     shapes += _legends(snapshot, most * speed)

@@ -38,10 +38,10 @@ PLANE_HEIGHT = 1.5
 """Extent of the plane above and below the wings."""
 
 PLANE_ROWS = 24
-"""Number of rows of cells; even, so that no cell's middle is on a vortex."""
+"""Usual number of rows of cells; even, so that no cell's middle is on a vortex."""
 
 MOST_COLUMNS = 256
-"""Largest number of columns of cells; a wider flock has wider cells."""
+"""Largest number of columns of cells of the usual height; a wider flock has wider cells."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ class Plane:
         return float(self.middle[0, 0, 0])
 
 
-def plane(vortices: Vortices) -> Plane:
-    """Return the plane PLANE_BEHIND the last bird.
+def plane(vortices: Vortices, rows: int = PLANE_ROWS) -> Plane:
+    """Return the plane PLANE_BEHIND the last bird, with an even number of `rows`.
 
     Birds far from the flock do not count: the plane is behind the others.
     """
@@ -125,11 +125,12 @@ def plane(vortices: Vortices) -> Plane:
     there = position[np.abs(position - middle_position(position)) <= extent + 3.0]
     left = float((lateral - vortices.span_ratio).min()) - 1.0
     right = float((lateral + vortices.span_ratio).max()) + 1.0
-    height = 2.0 * PLANE_HEIGHT / PLANE_ROWS
-    columns = min(MOST_COLUMNS, int(np.ceil((right - left) / height)))
+    height = 2.0 * PLANE_HEIGHT / rows
+    most = MOST_COLUMNS * rows // PLANE_ROWS
+    columns = min(most, int(np.ceil((right - left) / height)))
     width = (right - left) / columns
-    middle = np.empty((PLANE_ROWS, columns, 3))
+    middle = np.empty((rows, columns, 3))
     middle[..., 0] = there.min() - PLANE_BEHIND
     middle[..., 1] = left + width * (np.arange(columns) + 0.5)
-    middle[..., 2] = (PLANE_HEIGHT - height * (np.arange(PLANE_ROWS) + 0.5))[:, np.newaxis]
+    middle[..., 2] = (PLANE_HEIGHT - height * (np.arange(rows) + 0.5))[:, np.newaxis]
     return Plane(middle, vortices.upwash(middle), width, height)
