@@ -188,6 +188,22 @@ def test_tables_keep_every_digit(equal, modified) -> None:
         assert float(row["drag_reduction"]) == modified[bird].drag_reduction[i, m]
 
 
+def test_figures_have_the_units_of_the_tools(equal, modified) -> None:
+    places, _, means = draw_steady(equal).axes
+    assert places.get_ylabel() == "streamwise position $x_i$ (b)"
+    assert places.get_xlabel() == "lateral position $y_i$ (b)"
+    largest = next(line for line in places.lines if len(line.get_xdata()) == max(SHOWN))
+    assert largest.get_xdata()[-1] == equal.states["all", max(SHOWN)].lateral[-1, 0]
+    assert means.get_ylabel() == "mean drag reduction $\\eta$ (%)"
+    assert max(means.lines[0].get_ydata()) == pytest.approx(17.3, abs=0.1)
+    upper, *_, lower = draw_modified(modified).axes
+    assert upper.get_ylabel() == "streamwise position $x_i$ (b)"
+    assert upper.lines[1].get_ydata().tolist() == modified[1].position[:, 1].tolist()
+    drawn = lower.lines[1].get_ydata()
+    assert drawn == pytest.approx(100.0 * modified[7].drag_reduction[:, 1], rel=1e-15)
+    assert lower.figure.axes[3].get_ylabel() == "drag reduction $\\eta_i$ (%)"
+
+
 def test_numbers_are_written_plainly() -> None:
     table = Table(("a", "b"), [[np.float64(0.1), None], [np.bool_(True), np.int64(3)], [True, 1]])
     assert table.csv() == b"a,b\n0.1,\ntrue,3\ntrue,1\n"

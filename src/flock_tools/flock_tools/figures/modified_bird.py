@@ -68,26 +68,25 @@ def draw_modified(data: dict[int, Equilibrium]) -> Figure:
             for m, (ratio, look) in enumerate(zip(CASES[modified], LOOKS)):
                 style = {**look, "markerfacecolor": "white"}
                 name = f"$\\lambda_{{{modified}}}={ratio:g}$"
-                upper.plot(
-                    0.5 * state.lateral[:, m], 0.5 * state.position[:, m], label=name, **style
-                )
-                lower.plot(np.arange(1, BIRDS + 1), state.drag_reduction[:, m], label=name, **style)
-            upper.set(title=f"({'abc'[column]})", xlabel="lateral position $y_i/2b$")
+                upper.plot(state.lateral[:, m], state.position[:, m], label=name, **style)
+                saved = 100.0 * state.drag_reduction[:, m]
+                lower.plot(np.arange(1, BIRDS + 1), saved, label=name, **style)
+            upper.set(title=f"({'abc'[column]})", xlabel="lateral position $y_i$ (b)")
             lower.set(title=f"({'def'[column]})", xlabel="bird $i$")
             if modified != LEADER:
                 _frame(upper, state, modified)
             upper.legend(loc="best")
-        panels[0, 0].set_ylabel("streamwise position $x_i/2b$")
-        panels[1, 0].set_ylabel("drag reduction $\\eta_i$")
+        panels[0, 0].set_ylabel("streamwise position $x_i$ (b)")
+        panels[1, 0].set_ylabel("drag reduction $\\eta_i$ (%)")
         panels[1, 0].xaxis.set_major_locator(MultipleLocator(2, offset=1))
     return figure
 
 
 def _frame(axes: Axes, state: Equilibrium, bird: int) -> None:
     """Draw a dashed box round all positions of the modified bird."""
-    across, along = 0.5 * state.lateral[bird - 1], 0.5 * state.position[bird - 1]
-    left, right = across.min() - 0.4, across.max() + 0.4
-    bottom, top = along.min() - 0.3, along.max() + 0.3
+    across, along = state.lateral[bird - 1], state.position[bird - 1]
+    left, right = across.min() - 0.8, across.max() + 0.8
+    bottom, top = along.min() - 0.6, along.max() + 0.6
     axes.add_patch(
         Rectangle(
             (left, bottom),

@@ -65,6 +65,10 @@ class SteadyFlocks:
         states = [self.states[coupling, birds] for birds in sizes]
         return np.array([state.drag_reduction.mean() for state in states])
 
+    def saved(self, coupling: str, sizes: Sequence[int]) -> FloatArray:
+        """Return the mean of eta_i over the birds of flocks of these sizes, in %."""
+        return 100.0 * self.drag_reduction(coupling, sizes)
+
     def configurations(self) -> Table:
         """Return the data of panel (a): the position of each bird."""
         rows: list[Sequence[object]] = []
@@ -103,8 +107,8 @@ def draw_steady(data: SteadyFlocks) -> Figure:
         _means(axes, data.speed, data.sizes())
         axes.set(title="(b)", ylim=(1.1, 1.36), ylabel="steady speed $U^*$ ($U_\\mathrm{min}$)")
         axes = figure.add_subplot(grid[2])
-        _means(axes, data.drag_reduction, data.sizes())
-        axes.set(title="(c)", ylim=(0.0, 0.19), ylabel="mean drag reduction $\\eta$")
+        _means(axes, data.saved, data.sizes())
+        axes.set(title="(c)", ylim=(0.0, 19.0), ylabel="mean drag reduction $\\eta$ (%)")
     return figure
 
 
@@ -114,8 +118,8 @@ def _configurations(axes: Axes, data: SteadyFlocks) -> None:
         for coupling, line in LINES.items():
             state = data.states[coupling, birds]
             axes.plot(
-                0.5 * state.lateral[:, 0],
-                0.5 * state.position[:, 0],
+                state.lateral[:, 0],
+                state.position[:, 0],
                 color=colour,
                 linestyle=line,
                 marker=symbol,
@@ -123,8 +127,8 @@ def _configurations(axes: Axes, data: SteadyFlocks) -> None:
             )
     axes.set(
         title="(a)",
-        xlabel="lateral position $y_i/2b$",
-        ylabel="streamwise position $x_i/2b$",
+        xlabel="lateral position $y_i$ (b)",
+        ylabel="streamwise position $x_i$ (b)",
     )
     axes.margins(y=0.06)
     named = [
