@@ -324,6 +324,22 @@ def test_moment_member_and_file_can_be_chosen(flight: Path, tmp_path: Path) -> N
         assert (tmp_path / name).read_bytes().startswith(begin)
 
 
+def test_the_time_of_the_formation_is_marked_in_the_curves(flight: Path) -> None:
+    for time, told in ((0.0, True), (50.0, True), (None, False)):
+        with Run(flight) as run:
+            metrics, verdicts = run.metrics(time), run.verdicts(time)
+            means = run.time_means(metrics.t_final)
+            history = read(run).sel(member=1)
+            figure = draw(run.configuration, metrics, means, verdicts, history, 1)
+        curves = [axes for axes in figure.axes if "time" in axes.get_xlabel()]
+        dotted = [line for axes in curves for line in axes.lines if line.get_linestyle() == ":"]
+        assert [line.get_xdata()[0] for line in dotted] == [time] * (2 * told)
+        written = {text.get_text() for text in curves[0].texts}
+        assert (f"formation above: t = {time or 0:g}" in written) == told
+        assert not overlaps(figure)
+        assert not cut_off(figure)
+
+
 def test_the_users_own_settings_of_matplotlib_are_left_alone(flight: Path, tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     assert run_tool(tool, [str(flight), "--output", str(tmp_path / "a.png")]) == 0

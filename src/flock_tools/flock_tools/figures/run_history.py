@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
@@ -25,7 +27,7 @@ WIDTH = 9.0
 LEFT, RIGHT = 0.85, 1.0
 """Room beside the formation: for the labels of its axis, and for the colour scale."""
 
-LINE, ABOVE = 0.21, 0.42
+LINE, ABOVE = 0.21, 0.36
 """Height of a line of the heading, and of the room between it and the formation."""
 
 UNDER, TITLE = 0.55, 0.2
@@ -87,9 +89,26 @@ def draw(
             curves = [_spread(spread, history), _spacings(spacings, history, metrics.leader)]
         for axes in curves:
             axes.set(xlabel=TIME, xlim=(0.0, max(float(history.time[-1]), configuration.dt)))
-            axes.axvline(metrics.t_final, color=FAINT, linewidth=0.8, linestyle=":", clip_on=False)
+        if metrics.t_final < float(history.time[-1]):
+            _mark_time(curves, metrics.t_final)
         keep_apart(figure, labels)
     return figure
+
+
+def _mark_time(curves: Sequence[Axes], time: float) -> None:
+    """Mark the time of the formation in the curves, and explain the mark above the first."""
+    for axes in curves:
+        axes.axvline(time, color=FAINT, linewidth=0.9, linestyle=":")
+    curves[0].annotate(
+        f"formation above: t = {time:g}",
+        (time, 1.0),
+        xytext=(0, 3),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        ha="center",
+        fontsize=7.5,
+        color=FAINT,
+    )
 
 
 def _heading(
