@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from flock_tools.figures import output as output_module
 from flock_tools.scene.bird_mesh import BIRD
 from flock_tools.scene.camera import Camera
 from flock_tools.scene.panel import polygons
-from flock_tools.scene.picture import MOST_INSETS, ROWS, draw_scene, scene_of
+from flock_tools.scene.picture import FINE_ROWS, MOST_INSETS, draw_scene, scene_of
 from flock_tools.scene.shapes import scene
 from flock_tools.scene.wake import PLANE_ROWS
 from support.flights import Change, keep, record
@@ -70,10 +71,10 @@ def drawn(tmp_path: Path, flown: FlockConfiguration, change: Change = keep) -> F
 
 def test_air_has_smooth_opaque_colours_of_which_rising_is_darker(flight: Path) -> None:
     with Run(flight) as run:
-        shown = scene_of(run, None, 1)
+        shown = scene_of(run, None, 1, FINE_ROWS)
     figure = draw_scene(shown)
     plane, wakes = (c for c in figure.axes[0].collections if isinstance(c, TriMesh))
-    assert shown.upwash.shape[0] == ROWS > PLANE_ROWS
+    assert shown.upwash.shape[0] == FINE_ROWS > PLANE_ROWS
     colours = plane.get_facecolor()
     assert (colours[:, 3] == 1.0).all()
     assert (wakes.get_facecolor()[:, 3] == 1.0).all()
@@ -94,8 +95,11 @@ def test_a_picture_has_a_bar_and_the_direction_of_flight(flight: Path) -> None:
 def test_labels_tell_other_spans_and_the_title_the_links(tmp_path: Path) -> None:
     flown = FlockConfiguration(birds=5, t_max=10.0, span_ratios=("2=0.9",), links=("hold:delay=3",))
     figure = drawn(tmp_path, flown)
-    second = [text.get_text() for text in figure.axes[0].texts if text.get_text()[0] == "2"]
-    assert second[0].split("\n")[1] == "$\\lambda$ = 0.9"
+    spans = [text for text in figure.axes[0].texts if "lambda" in text.get_text()]
+    assert [text.get_text().strip() for text in spans] == ["$\\lambda$ = 0.9"]
+    (label,) = (text for text in figure.axes[0].texts if text.get_text().startswith("2\n"))
+    assert spans[0].xy == label.xy
+    assert spans[0].get_visible()
     assert "links: hold with delay 3 steps" in figure.texts[0].get_text()
 
 
@@ -105,8 +109,10 @@ def test_labels_of_any_flock_do_not_overlap(tmp_path: Path, birds: int) -> None:
     figure = drawn(tmp_path, FlockConfiguration(birds=birds, t_max=10.0, span_ratios=spans))
     assert not overlaps(figure)
     assert not cut_off(figure)
-    told = {text.get_text().partition("\n")[0] for text in figure.axes[0].texts}
+    shown = [text for text in figure.axes[0].texts if text.get_visible()]
+    told = {text.get_text().partition("\n")[0] for text in shown}
     assert {"1", str(birds // 2 + 1), str(birds)} <= told
+    assert len(told) > min(birds, 10)
 
 
 def moved(first: int, far: float) -> Change:
@@ -137,13 +143,17 @@ def test_a_part_that_is_far_away_is_an_inset(
     assert figure.get_figheight() < 1.6 * figure.get_figwidth()
 
 
-def test_a_scattered_flock_has_the_largest_parts_and_tells_of_the_others(tmp_path: Path) -> None:
+def test_a_scattered_flock_has_the_largest_parts_and_lists_the_other_birds(tmp_path: Path) -> None:
     def scattered(bird: int, state: State) -> State:
         return replace(state, position=state.position + 300.0 * bird * bird)
 
     figure = drawn(tmp_path, FlockConfiguration(birds=13, t_max=10.0), scattered)
-    assert "8 birds far from all others not drawn" in figure.texts[0].get_text()
-    assert len(figure.texts) == 1 + MOST_INSETS
+    told = [text.get_text() for text in figure.texts]
+    assert "far from all others,\nnot drawn:" in told
+    assert len([text for text in told if "the leader" in text]) == MOST_INSETS
+    labels = [*told, *(text.get_text() for axes in figure.axes for text in axes.texts)]
+    numbers = sorted(int(text.split("\n")[0]) for text in labels if re.match(r"\d+\n", text))
+    assert numbers == list(range(1, 14))
     assert figure.get_figheight() < 2.0 * figure.get_figwidth()
     assert not overlaps(figure)
     assert not cut_off(figure)

@@ -128,13 +128,13 @@ def _draw(options: Namespace) -> int:
     check_picture(options.picture, "--picture")
 
     from flock_sim.recording.run import Run
-    from flock_tools.scene.picture import draw_scene, scene_of
+    from flock_tools.scene.picture import FINE_ROWS, draw_scene, scene_of
 
     with Run(options.run) as run:
         if run.missing:
             note(f"note: {run.missing}; its intact part is drawn")
         member = whole_number("--member", options.member, 1, run.configuration.members)
-        figure = draw_scene(scene_of(run, time_shown, member - 1))
+        figure = draw_scene(scene_of(run, time_shown, member - 1, FINE_ROWS))
     write_picture(figure, options.picture, "--picture")
     print(options.picture)
     return 0

@@ -14,14 +14,21 @@ APART = 1.0
 
 
 def keep_apart(figure: Figure, labels: Sequence[Text]) -> None:
-    """Remove each of `labels` that overlaps one before it. The most important one is the first."""
+    """Hide each of `labels` that overlaps one before it. The most important one is the first.
+
+    A label that is cut off at the left or right edge of the figure is written beside its place.
+    """
     figure.draw_without_rendering()  # lays the figure out
     room = 0.5 * APART * figure.dpi / 72.0
     taken: list[Bbox] = []
     for label in labels:
-        box = Text.get_window_extent(label).padded(room)  # the text alone, without an arrow
+        box = Text.get_window_extent(label)  # the text alone, without an arrow
+        if box.x0 < figure.bbox.x0 or box.x1 > figure.bbox.x1:
+            label.set_horizontalalignment("left" if box.x0 < figure.bbox.x0 else "right")
+            box = Text.get_window_extent(label)
+        box = box.padded(room)
         if any(_overlap(box, other) for other in taken):
-            label.remove()
+            label.set_visible(False)
         else:
             taken.append(box)
 

@@ -129,11 +129,14 @@ def _side_by_side(view: PlanView, left: BoolArray) -> list[IntArray]:
 
 
 def _told(view: PlanView, birds: IntArray) -> str:
-    first, last = int(birds[0]), int(birds[-1])
+    first, last = int(birds[0]) + 1, int(birds[-1]) + 1
     if first == last:
-        return f"{first + 1} at {_distance(view.along[first])} b".replace("-", "−")
+        return f"{first} at {_distance(view.along[birds[0]])} b".replace("-", "−")
+    name = f"{first} to {last}"
+    if last - first >= len(birds):
+        name = f"{len(birds)} of {name}"
     low, high = (_distance(end(view.along[birds])) for end in (np.min, np.max))
-    return f"{first + 1} to {last + 1} at {low} to {high} b".replace("-", "−")
+    return f"{name} at {low} to {high} b".replace("-", "−")
 
 
 def _distance(along: float) -> str:

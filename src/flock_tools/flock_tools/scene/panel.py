@@ -22,11 +22,11 @@ from flock_tools.scene.landmarks import Landmarks
 from flock_tools.scene.shapes import Kind, Scene, Shape
 from flock_tools.scene.snapshot import Snapshot
 
-MOST_SAVED = 15
-"""Largest number of birds of a flock whose labels tell what each bird saves."""
-
 SMALL = 7.5
 """Size of labels, in pt."""
+
+ABOVE = 20.0
+"""Height of a span ratio above the place of the label below it, in pt."""
 
 
 @dataclass(frozen=True)
@@ -111,33 +111,40 @@ class Panel:
         ]
 
     def _draw_labels(self, axes: Axes) -> list[Text]:
-        """Write numbers, span ratios that are not 1, and in a small flock what each bird saves.
+        """Write number and drag saved of each bird, and span ratios that are not 1.
 
-        A large flock has some numbers only.
+        Return the labels, the most important first: those of the leader and of both ends, of birds
+        of another span, of every tenth bird, and of all others.
         """
-        birds = len(self.snapshot.state.position)
-        leader, small = formation.leader(birds), birds <= MOST_SAVED
-        every = 1 if small else 5 if birds <= 60 else 10
+        ratios = self.snapshot.span_ratio
+        leader, birds = formation.leader(len(ratios)), len(ratios)
         labels = []
         for shape in self.shapes["labels"]:
-            bird, ratio = shape.number, self.snapshot.span_ratio[shape.number - 1]
-            rank = 0 if bird in (1, leader, birds) else 1 if ratio != 1.0 else 2
-            if rank == 2 and bird % every:
-                continue
-            lines = shape.text.split("\n")[: 2 if small else 1]
-            if ratio != 1.0:
-                lines.insert(1, f"$\\lambda$ = {ratio:g}")
+            bird, ratio = shape.number, ratios[shape.number - 1]
             (place,), _ = self.camera.see(np.array([shape.origin]))
-            label = _label(axes, place, "\n".join(lines), ha="center", va="bottom")
-            labels.append((rank, place[1], label))
+            label = _label(axes, place, shape.text, ha="center", va="bottom")
+            first = (bird in (1, leader, birds), ratio != 1.0, bird % 10 == 0, True)
+            labels.append((first.index(True), place[1], label))
+            if ratio != 1.0:
+                told = f"$\\lambda$ = {ratio:g}"
+                span = _label(axes, place, told, ha="center", va="bottom", above=ABOVE)
+                labels.append((first.index(True), place[1], span))
         labels.sort(key=lambda label: label[:2])  # of equal rank, the nearest is the lowest
         return [label for _, _, label in labels]
 
 
-def _label(axes: Axes, place: FloatArray, text: str, ha: str, va: str) -> Text:
-    label = axes.text(float(place[0]), float(place[1]), text, ha=ha, va=va, fontsize=SMALL)
-    label.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-    return label
+def _label(axes: Axes, place: FloatArray, text: str, ha: str, va: str, above: float = 0.0) -> Text:
+    """Write `text` at a place on the picture, or `above` it by this number of pt."""
+    return axes.annotate(
+        text,
+        (float(place[0]), float(place[1])),
+        xytext=(0.0, above),
+        textcoords="offset points",
+        ha=ha,
+        va=va,
+        fontsize=SMALL,
+        path_effects=[withStroke(linewidth=2.0, foreground="white")],
+    )
 
 
 def _triangles(corner: IntArray) -> IntArray:

@@ -20,10 +20,10 @@ from flock_tools.figures.labels import keep_apart
 from flock_tools.figures.parts import parts
 from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
-from flock_tools.scene.panel import Panel
+from flock_tools.scene.panel import SMALL, Panel
 from flock_tools.scene.shapes import UPWASH, Scene, scene
 from flock_tools.scene.snapshot import Snapshot
-from flock_tools.scene.wake import LONGEST
+from flock_tools.scene.wake import LONGEST, PLANE_ROWS
 
 WIDTH = 10.0
 """Width of the picture, in inches."""
@@ -34,7 +34,7 @@ BARS = 0.75
 LINE, ROOM = 0.21, 0.15
 """Height of a line of the title, and room beside all lines, in inches."""
 
-CAPTION = 0.35
+CAPTION = 0.45
 """Height of the room for the captions of insets, in inches."""
 
 HIGHEST = 0.5
@@ -46,6 +46,9 @@ NARROWEST = 0.24
 MOST_INSETS = 4
 """Largest number of insets. They show the largest parts."""
 
+COLUMNS, ROW = 16, 0.36
+"""Number of columns of the list of birds that are not drawn, and height of a row, in inches."""
+
 MOST_LISTED = 4
 """Largest number of birds that a caption lists."""
 
@@ -55,25 +58,26 @@ MOST_DIGITS = 1e6
 MOST_TRAIL = 300
 """Largest number of points of a trail, approximately."""
 
-ROWS = 48
-"""Number of rows of cells of the plane behind the flock."""
+FINE_ROWS = 48
+"""Number of rows of cells of the plane behind the flock in a smooth picture."""
 
 APART = 0.25
 """Largest gap along the flight within a part, over the extent of the flock across it."""
 
 
-def scene_of(run: Run, time: float | None, m: int) -> Scene:
+def scene_of(run: Run, time: float | None, m: int, rows: int = PLANE_ROWS) -> Scene:
     """Return the scene of the member with index `m` at `time` in b / U_min; None: the last time.
 
-    Raises FlockError if nothing was recorded at that time.
+    `rows` is the number of rows of cells of the plane behind the flock. Raises FlockError if
+    nothing was recorded at that time.
     """
     configuration, state = run.configuration, run.at(time)
     stamp = divmod(configuration.stamp(state.step), BILLION)
     snapshot = Snapshot.of(configuration, state, configuration.span_ratio, m, stamp)
-    rows = state.step // configuration.record_every + 1
-    history = read(run, end=state.time, stride=-(-rows // MOST_TRAIL)).position[..., m]
+    recorded = state.step // configuration.record_every + 1
+    history = read(run, end=state.time, stride=-(-recorded // MOST_TRAIL)).position[..., m]
     leader = history.sel(bird=formation.leader(configuration.birds))
-    return scene(snapshot, list((history - leader).transpose("time", "bird").to_numpy()), ROWS)
+    return scene(snapshot, list((history - leader).transpose("time", "bird").to_numpy()), rows)
 
 
 def draw_scene(shown: Scene) -> Figure:
@@ -88,27 +92,29 @@ def draw_scene(shown: Scene) -> Figure:
     panel = Panel.of(shown, main, with_plane=True)
     insets = [Panel.of(shown, part, with_plane=False) for part in others[:MOST_INSETS]]
     widths = _widths(panel, insets)
-    row = max((w * inset.camera.height for w, inset in zip(widths, insets)), default=0.0)
-    row = WIDTH * row + CAPTION if insets else 0.0
-    title = _title(snapshot, others[MOST_INSETS:])
+    heights = [min(HIGHEST, w * one.camera.height) for w, one in zip(widths, insets)]
+    row = WIDTH * max(heights) + CAPTION if insets else 0.0
+    left_out = np.sort(np.concatenate([[], *others[MOST_INSETS:]])).astype(int)
+    table = -(-len(left_out) // COLUMNS) * ROW
+    title = _title(snapshot)
     head = LINE * (title.count("\n") + 1) + ROOM
     tall = WIDTH * panel.camera.height
-    height = BARS + row + tall + head
+    height = BARS + table + row + tall + head
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         figure.text(0.02, 1.0 - 0.5 * ROOM / height, title, va="top", fontsize=10)
-        bottom = BARS + row
+        bottom = BARS + table + row
         labels = panel.draw(figure.add_axes((0.0, bottom / height, 1.0, tall / height)))
         captions: list[Text] = []
         left = 0.0
-        for inset, width in zip(insets, widths):
-            inset_height = WIDTH * width * inset.camera.height
-            top = bottom - CAPTION
-            box = (left, (top - inset_height) / height, width, inset_height / height)
+        for inset, width, share in zip(insets, widths, heights):
+            tall, top = WIDTH * share, bottom - CAPTION
+            box = (left, (top - tall) / height, share / inset.camera.height, tall / height)
             labels += inset.draw(figure.add_axes(box))
             place = (left + 0.02, (bottom - 0.5 * CAPTION) / height)
             captions.append(figure.text(*place, _caption(inset), va="center", fontsize=8.5))
             left += width
+        _list_left_out(figure, snapshot, left_out, BARS + table)
         saved = ScalarMappable(saved_scale(snapshot.saved), DRAG_SAVED)
         _bar(figure, 0.07, saved, "drag reduction $\\eta_i$ (%)")
         air = ScalarMappable(Normalize(-shown.most_upwash, shown.most_upwash), UPWASH)
@@ -127,33 +133,48 @@ def scene_parts(snapshot: Snapshot) -> list[IntArray]:
 
 
 def _widths(panel: Panel, insets: Sequence[Panel]) -> FloatArray:
-    """Return the widths of insets over that of the picture, on the scale of `panel` if they fit.
+    """Return the widths of insets side by side, over that of the picture.
 
-    They are side by side.
+    They have the scale of `panel`, unless that is too wide, or too narrow for a caption.
     """
     widths = np.array([max(NARROWEST, one.camera.scope / panel.camera.scope) for one in insets])
-    if not insets:
+    least = NARROWEST * len(insets)
+    if widths.sum() <= 1.0:
         return widths
-    heights = widths * [one.camera.height for one in insets]
-    return widths * min(1.0, 1.0 / float(widths.sum()), HIGHEST / float(heights.max()))
+    return np.asarray(NARROWEST + (widths - NARROWEST) * (1.0 - least) / (widths.sum() - least))
 
 
 def _empty(shown: Scene) -> Figure:
     """Return the picture of a flock of which no bird can be drawn."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 2.0))
-        figure.text(0.02, 0.92, _title(shown.snapshot, []), va="top", fontsize=10)
+        figure.text(0.02, 0.92, _title(shown.snapshot), va="top", fontsize=10)
         figure.text(0.5, 0.4, "no bird has a finite position and circulation", ha="center")
     return figure
 
 
-def _title(snapshot: Snapshot, left_out: Sequence[IntArray]) -> str:
+def _title(snapshot: Snapshot) -> str:
     name = flock_name(snapshot.configuration, snapshot.member)
     saved = np.mean(snapshot.saved)
-    title = f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
-    if count := sum(len(part) for part in left_out):
-        title += f";  {count} bird{'s' * (count > 1)} far from all others not drawn"
-    return title
+    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
+
+
+def _list_left_out(figure: Figure, snapshot: Snapshot, birds: IntArray, top: float) -> None:
+    """Write number and drag saved of birds that are not drawn, below `top` in inches."""
+    if not len(birds):
+        return
+    height = figure.get_figheight()
+    figure.text(0.02, top / height, "far from all others,\nnot drawn:", va="top", fontsize=SMALL)
+    for k, i in enumerate(birds):
+        row, column = divmod(k, COLUMNS)
+        figure.text(
+            0.19 + 0.05 * column,
+            (top - ROW * row) / height,
+            f"{i + 1}\n{snapshot.saved[i]:.1f} %",
+            ha="center",
+            va="top",
+            fontsize=SMALL,
+        )
 
 
 def _caption(inset: Panel) -> str:
@@ -169,7 +190,7 @@ def _caption(inset: Panel) -> str:
         name = f"{len(numbers)} birds" if len(numbers) > MOST_LISTED else f"birds {listed}"
     along = float(np.mean(snapshot.along[birds]))
     far = f"{abs(along):.0f}" if abs(along) < MOST_DIGITS else f"{abs(along):.3g}"
-    return f"{name}: {far} b {'ahead of' if along > 0.0 else 'behind'} the leader"
+    return f"{name}\n{far} b {'ahead of' if along > 0.0 else 'behind'} the leader"
 
 
 def _bar(figure: Figure, left: float, colours: ScalarMappable, name: str) -> None:
