@@ -33,13 +33,13 @@ LAG = "age of neighbour data (b/$U_{min}$)"
 def draw_study(delayed: Sequence[Delayed], limits: Sequence[Held], critical: float) -> Figure:
     """Return the figure; `critical` is the lag at which `linear` loses stability, in b / U_min."""
     with mpl.rc_context(PRINT_STYLE):
-        figure = Figure(figsize=(PAGE, 4.6), layout="constrained")
+        figure = Figure(figsize=(PAGE, 4.9), layout="constrained")
         top, bottom = figure.subplots(2, 3)
         _steady(top[0], delayed, "speed", "speed $U^*$ ($U_{min}$)")
         _steady(top[1], delayed, "gap", "gap from tail to leader (b)")
         _settling(top[2], delayed)
         for axes in top:
-            axes.axvline(critical, color=FAINT, linewidth=0.8, linestyle=":", zorder=0)
+            line = axes.axvline(critical, color=FAINT, linewidth=0.8, linestyle=":", zorder=0)
             axes.set_xlabel(LAG)
         top[0].set_title("(a) three geese")
         top[1].set_title("(b) three geese")
@@ -56,6 +56,8 @@ def draw_study(delayed: Sequence[Delayed], limits: Sequence[Held], critical: flo
         for axes in (*top, *bottom):
             axes.grid(visible=True)
             axes.legend(loc="best", fontsize=SMALL)
+        told = "(a) to (c): lag at which `linear` loses stability"
+        figure.legend([line], [told], loc="outside lower left")
     return figure
 
 
@@ -90,7 +92,7 @@ def _settling(axes: Axes, delayed: Sequence[Delayed]) -> None:
             markerfacecolor="white",
             label=model,
         )
-    axes.set(ylabel="time to settle (b/$U_{min}$)", yscale="log")
+    axes.set(ylabel="time to settle (b/$U_{min}$),\nlogarithmic", yscale="log")
 
 
 def _held_late(axes: Axes, limits: Sequence[Held]) -> None:
@@ -100,7 +102,7 @@ def _held_late(axes: Axes, limits: Sequence[Held]) -> None:
     axes.plot(LAGS, ends[1], color=VERMILLION)
     _ends(axes, [f for f in limits if f.key == "interval"], "s", VERMILLION, "interval")
     _ends(axes, [f for f in limits if f.key == "drop"], "D", GREEN, "loss")
-    axes.set(xlabel=LAG, xscale="log")
+    axes.set(xlabel=f"{LAG},\nlogarithmic", xscale="log")
     axes.xaxis.set_major_formatter("{x:g}")
 
 
@@ -122,7 +124,7 @@ def _moved_lossy(axes: Axes, limits: Sequence[Held]) -> None:
             label="loss" if end is min else None,
         )
     axes.set(
-        xlabel="fraction of messages that arrive",
+        xlabel="fraction of messages that arrive,\nlogarithmic",
         xscale="log",
         ylim=(SPAN_RATIOS[LINEAR][0], SPAN_RATIOS[LINEAR][-1]),
     )
