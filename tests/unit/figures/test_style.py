@@ -50,3 +50,14 @@ def test_a_long_title_has_several_lines() -> None:
     lines = flock_name(FlockConfiguration(birds=5, links=links), 0).split("\n")
     assert len(lines) > 2
     assert max(len(line) for line in lines) <= LINE
+
+
+def test_a_title_tells_the_forcing_of_its_member() -> None:
+    forcing = ("gust:std=1e-5/2e-5,seed=7", "3=laws/mine.py:keeper:gap=0.8")
+    name, told = flock_name(FlockConfiguration(birds=5, forcing=forcing), 1).split("\n", 1)
+    assert "member 2 of 2" in name
+    assert told.replace("\n", " ") == (
+        "forcing: gust with std 2e-5, seed 7; bird 3: keeper with gap 0.8"
+    )
+    many = FlockConfiguration(birds=5, forcing=5 * ("constant:force=1e-4",))
+    assert "3 more" in flock_name(many, 0)

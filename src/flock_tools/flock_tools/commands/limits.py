@@ -271,8 +271,8 @@ def _flock(options: argparse.Namespace) -> FlockConfiguration:
         )
     if configuration.members > 1:
         raise FlockError(
-            f"the flock has {configuration.members} members: must have one; give one value of each "
-            "key"
+            f"the flock has {configuration.members} members: must have one; give one span ratio "
+            "for each bird, and one value of each key of forcing"
         )
     return configuration
 

@@ -12,8 +12,10 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.links.keys import NUMBERS, SEPARATOR
+from flock_sim.forcing.settings import Settings
+from flock_sim.links.keys import NUMBERS
 from flock_sim.links.settings import parted
+from flock_sim.model_text import SEPARATOR
 from flock_sim.physics.arrays import FloatArray
 
 INK, FAINT, PALE = "#22303c", "#8a949d", "#bfc6cc"
@@ -101,7 +103,7 @@ def saved_scale(saved: FloatArray) -> Normalize:
 def flock_name(configuration: FlockConfiguration, m: int) -> str:
     """Return the name of the flock with index `m`: birds, coupling, links, birds of another span.
 
-    Links that are not exact have a line of their own.
+    Links that are not exact, and forcing, have a line of their own.
     """
     birds = configuration.birds
     name = f"{birds} bird{'s' * (birds > 1)}"
@@ -117,7 +119,31 @@ def flock_name(configuration: FlockConfiguration, m: int) -> str:
         name += "".join(f", $\\lambda_{{{i + 1}}}$ = {ratio[i]:g}" for i in odd)
     elif len(odd):
         name += f", $\\lambda$ from {ratio.min():g} to {ratio.max():g}"
-    return f"{name}\n{links_name(configuration.links, m)}" if late else name
+    lines = [name]
+    if late:
+        lines.append(links_name(configuration.links, m))
+    if configuration.forcing:
+        lines.append(forcing_name(configuration.forcing_table.entries, m))
+    return "\n".join(lines)
+
+
+def forcing_name(entries: Sequence[Settings], m: int) -> str:
+    """Return the forcing in words, with the values of the member with index `m`.
+
+    If there are more than MOST_LINKS entries, it has the first of them, and the number of others.
+    """
+    named = [_term_name(entry, m) for entry in entries[:MOST_LINKS]]
+    if len(entries) > MOST_LINKS:
+        named.append(f"{len(entries) - MOST_LINKS} more")
+    return fill(f"forcing: {'; '.join(named)}", LINE)
+
+
+def _term_name(entry: Settings, m: int) -> str:
+    values = [(key, text.split(SEPARATOR)) for key, text in entry.items]
+    facts = [f"{key} {given[m] if len(given) > 1 else given[0]}" for key, given in values]
+    whose = f"bird {entry.bird}: " if entry.bird is not None else ""
+    law = entry.name.rpartition(":")[2]
+    return f"{whose}{law}{' with ' * bool(facts)}{', '.join(facts)}"
 
 
 def links_name(links: Sequence[str], m: int) -> str:
