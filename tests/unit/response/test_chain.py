@@ -62,6 +62,15 @@ def test_largest_gains_of_a_long_chain_are_singular_values():
     np.testing.assert_allclose(np.exp(chain.largest_gains(omega)[0]), expected, rtol=1e-11)
 
 
+def test_largest_gains_of_late_birds_whose_leader_is_not_in_front():
+    # Bird 43 of 51 flies in front of these late birds, and each hardly sees those behind it.
+    chain = responses(mixed_flock(51, spread=3e-4), 20.0, "hold")
+    omega = np.array([0.0, 1e-6, 1e-4, 0.002, 0.02])
+    gaps = chain.responses(omega)[:, 51:]
+    expected = np.linalg.svd(gaps, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(np.exp(chain.largest_gains(omega)[0]), expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("lag", "model"), LAGS)
 def test_slopes_are_derivatives(lag, model):
     chain = responses(mixed_flock(8), lag, model)

@@ -61,6 +61,18 @@ def test_growing_roots_with_a_lag_are_counted(lag, coupling):
         assert (expected > 0) == (lag > 42.0)
 
 
+def test_birds_that_a_leader_far_behind_hardly_holds():
+    # Bird 6 is the front of these late birds, and bird 16 leads: from bird to bird ahead of it,
+    # springs are 0.003 times as strong, and the slowest root of the led birds is 1e-22.
+    flock = mixed_flock(31, spread=1e-3)
+    chain = responses(flock, 20.0, "hold")
+    slopes = chain.logarithms(np.zeros(1))[1]
+    assert np.abs(slopes).max() > 1e22
+    found = Frequencies.of(chain)
+    assert (found.unstable, found.unstable_led) == (0, 0)
+    assert len(found.omega) < 1000
+
+
 def test_resonances_without_end_are_refused(monkeypatch):
     monkeypatch.setattr(frequencies, "MOST_FREQUENCIES", 100)
     with pytest.raises(RunFailed, match=r"resonances narrower than .* hardly damps"):

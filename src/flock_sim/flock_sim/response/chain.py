@@ -77,7 +77,7 @@ class Chain:
         gains, slopes = np.empty(len(omega)), np.empty(len(omega))
         random = np.random.default_rng(SEED)
         start = random.standard_normal(self.birds - 1).astype(np.complex128)
-        largest_gain.fill_largest_gains(*self._arguments(omega), self._leader, start, gains, slopes)
+        largest_gain.fill_largest_gains(*self._arguments(omega), start, gains, slopes)
         return gains, slopes
 
     def densities(self, omega: FloatArray) -> FloatArray:

@@ -26,6 +26,14 @@ from flock_sim.response.elimination import ComplexArray
 TOP = 30.0
 """The highest frequency over the largest |s| of a root that does not decay."""
 
+LEAST = 1e-13
+"""Frequency over the highest one below which nothing is resolved: for geese periods of 10^4 years.
+
+Late birds hardly see the birds behind them. If the leader flies far back, it holds those ahead by
+springs that are weaker from bird to bird, so that they follow a prescribed speed only after such
+times. No factor has more than one root there, so that the count of roots remains right.
+"""
+
 OCTAVES, PER_OCTAVE = 24, 4
 """Range and density of the frequencies from which the refinement starts."""
 
@@ -80,7 +88,8 @@ class Frequencies:
         omega = np.concatenate([[0.0], top * 2.0 ** (-steps / PER_OCTAVE)])
         values, slopes = flock.logarithms(omega)
         for _ in range(MOST_ROUNDS):
-            wide = np.flatnonzero(_changes(omega, values, slopes, flock.most_change) > 1.0)
+            changes = _changes(omega, values, slopes, flock.most_change)
+            wide = np.flatnonzero((changes > 1.0) & (omega[1:] > LEAST * top))
             if not len(wide):
                 break
             if len(omega) + len(wide) > MOST_FREQUENCIES:

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The largest singular value of the response of a chain's gaps to accelerations of all birds.
 
-The response G of the gaps (birds - 1) to the accelerations (birds) is never formed: `elimination`
-gives G f and G* y in a time proportional to the number of birds. Both wings are eliminated towards
-the leader: a late bird hardly sees the bird behind it, so in the other direction forces passed on
-would grow without bound, and cancel. The Lanczos method, with full
-reorthogonalisation, finds the largest eigenvalue of G G*. With its singular vectors p and q, the
-derivative of the singular value by omega is Re(p* i G'(s) q).
+The response G of the gaps (birds - 1) to the accelerations f (birds) is never formed. With the
+eliminations L in order and R in reverse order, and the own responses V_j = 1 / A_j of the birds,
+
+    y_j = V_j f_j + r^R_j y_{j-1}
+    z_j = V_j f_j + r^L_j z_{j+1}    g_j = d^L_j z_{j+1} - d^R_{j+1} y_j
+
+where y_j and z_j are the speeds of bird j by accelerations of birds up to j, and of birds from j.
+So G f and G* y take a time proportional to the number of birds, and nothing cancels. The Lanczos
+method, with full reorthogonalisation, finds the largest eigenvalue of G G*. With its singular
+vectors p and q, the derivative of the singular value by omega is Re(p* i G'(s) q).
 """
 
 from __future__ import annotations
@@ -18,10 +22,6 @@ from flock_sim.physics.compile import kernel
 from flock_sim.response.elimination import (
     GAP,
     GAP_SLOPE,
-    PASSED,
-    PASSED_SLOPE,
-    PIVOT,
-    PIVOT_SLOPE,
     RATIO,
     RATIO_SLOPE,
     RESULTS,
@@ -41,6 +41,10 @@ CONVERGED = 1e-9
 The error of the eigenvalue is of the order of the square of the residual.
 """
 
+# Rows of the coefficients of G, shape (5, birds): V, r^L, r^R, d^L, and d^R of the next bird.
+OWN, FROM_NEXT, FROM_LAST, GAP_FROM_NEXT, GAP_FROM_LAST = 0, 1, 2, 3, 4
+COEFFICIENTS = 5
+
 
 @kernel
 def fill_largest_gains(
@@ -48,7 +52,6 @@ def fill_largest_gains(
     lag: float,
     constants: FloatArray,
     reverse: FloatArray,
-    leader: int,
     start: ComplexArray,
     gains: FloatArray,
     slopes: FloatArray,
@@ -58,34 +61,52 @@ def fill_largest_gains(
     Both have shape (roots,); `start` (birds - 1,) is the first vector, one or more.
     """
     birds = constants.shape[1]
-    both = np.empty((2, RESULTS, birds), dtype=np.complex128)
-    size = min(birds - 1, MOST_VECTORS)
-    vectors = np.empty((size + 1, birds - 1), dtype=np.complex128)
+    left = np.empty((RESULTS, birds), dtype=np.complex128)
+    right = np.empty((RESULTS, birds), dtype=np.complex128)
+    of, of_slope = (
+        np.zeros((COEFFICIENTS, birds), dtype=np.complex128),
+        np.zeros((COEFFICIENTS, birds), dtype=np.complex128),
+    )
+    vectors = np.empty((min(birds - 1, MOST_VECTORS) + 1, birds - 1), dtype=np.complex128)
     force = np.empty(birds, dtype=np.complex128)
     gap = np.empty(birds - 1, dtype=np.complex128)
-    gap_slope = np.empty(birds - 1, dtype=np.complex128)
     for k in range(len(roots)):
-        eliminate(roots[k], lag, constants, both[0])
-        eliminate(roots[k], lag, reverse, both[1])
-        own, own_slope = joined(both[0], both[1], leader)
+        eliminate(roots[k], lag, constants, left)
+        eliminate(roots[k], lag, reverse, right)
+        _fill_coefficients(left, right, of, of_slope)
         best = start.copy()
         for _ in range(MOST_ROUNDS):
-            if _lanczos(roots[k], both, own, leader, vectors, force, gap, best):
+            if _lanczos(of, vectors, force, gap, best):
                 break
-        _accelerations(roots[k], both, own, leader, best, force)
+        _accelerations(of, best, force)
         square = np.sum(np.abs(force) ** 2)
         gains[k] = 0.5 * np.log(square)
         # `best` is p, `force` is G* p = sigma q
-        _gap_slopes(roots[k], both, own, own_slope, leader, force, gap_slope)
-        slopes[k] = -np.sum(np.conj(best) * gap_slope).imag / square
+        _gap_slopes(of, of_slope, force, gap)
+        slopes[k] = -np.sum(np.conj(best) * gap).imag / square
+
+
+@kernel
+def _fill_coefficients(
+    left: ComplexArray, right: ComplexArray, of: ComplexArray, of_slope: ComplexArray
+) -> None:
+    birds = left.shape[1]
+    for j in range(birds):
+        own, own_slope = joined(left, right, j)
+        of[OWN, j], of_slope[OWN, j] = 1.0 / own, -own_slope / (own * own)
+        i = birds - 1 - j
+        if j < birds - 1:
+            of[FROM_NEXT, j], of_slope[FROM_NEXT, j] = left[RATIO, j], left[RATIO_SLOPE, j]
+            of[GAP_FROM_NEXT, j], of_slope[GAP_FROM_NEXT, j] = left[GAP, j], left[GAP_SLOPE, j]
+        if j > 0:
+            of[FROM_LAST, j], of_slope[FROM_LAST, j] = right[RATIO, i], right[RATIO_SLOPE, i]
+            of[GAP_FROM_LAST, j - 1] = right[GAP, i]
+            of_slope[GAP_FROM_LAST, j - 1] = right[GAP_SLOPE, i]
 
 
 @kernel
 def _lanczos(
-    root: complex,
-    both: ComplexArray,
-    own: complex,
-    leader: int,
+    of: ComplexArray,
     vectors: ComplexArray,
     force: ComplexArray,
     gap: ComplexArray,
@@ -96,8 +117,8 @@ def _lanczos(
     matrix = np.zeros((size, size))
     vectors[0] = best / np.sqrt(np.sum(np.abs(best) ** 2))
     for k in range(size):
-        _accelerations(root, both, own, leader, vectors[k], force)
-        _gaps(root, both, own, leader, force, gap)
+        _accelerations(of, vectors[k], force)
+        _gaps(of, force, gap)
         matrix[k, k] = np.sum(np.conj(vectors[k]) * gap).real
         for _ in range(2):
             for i in range(k + 1):
@@ -119,97 +140,50 @@ def _lanczos(
 
 
 @kernel
-def _gaps(
-    root: complex,
-    both: ComplexArray,
-    own: complex,
-    leader: int,
-    force: ComplexArray,
-    gap: ComplexArray,
-) -> None:
-    """Fill G f; `force` (birds,) is f, and is changed. `both` are the eliminations in both orders.
-
-    `own` is A of the leader.
-    """
+def _gaps(of: ComplexArray, force: ComplexArray, gap: ComplexArray) -> None:
+    """Fill G f, `gap` (birds - 1,), of f, `force` (birds,)."""
     last = len(force) - 1
-    for side in range(2):
-        results, step = both[side], 1 - 2 * side
-        for i in range(leader if side == 0 else last - leader):
-            j = i if side == 0 else last - i
-            force[j + step] += results[PASSED, i] * force[j]
-    for side in range(2):
-        results, sign = both[side], 1.0 - 2.0 * side
-        speed = force[leader] / own
-        for i in range((leader if side == 0 else last - leader) - 1, -1, -1):
-            j = i if side == 0 else last - i
-            moved = force[j] / results[PIVOT, i]
-            gap[j - side] = sign * (results[GAP, i] * speed - moved)
-            speed = results[RATIO, i] * speed + root * moved
+    speed = 0.0j
+    for j in range(last):
+        speed = of[OWN, j] * force[j] + of[FROM_LAST, j] * speed
+        gap[j] = -of[GAP_FROM_LAST, j] * speed
+    speed = 0.0j
+    for j in range(last, 0, -1):
+        speed = of[OWN, j] * force[j] + of[FROM_NEXT, j] * speed
+        gap[j - 1] += of[GAP_FROM_NEXT, j - 1] * speed
 
 
 @kernel
-def _accelerations(
-    root: complex,
-    both: ComplexArray,
-    own: complex,
-    leader: int,
-    gap: ComplexArray,
-    force: ComplexArray,
-) -> None:
+def _accelerations(of: ComplexArray, gap: ComplexArray, force: ComplexArray) -> None:
     """Fill G* y, `force` (birds,), of y, `gap` (birds - 1,): the steps of `_gaps` backwards."""
     last = len(force) - 1
-    force[leader] = 0.0
-    for side in range(2):
-        results, sign = both[side], 1.0 - 2.0 * side
-        speed = 0.0j
-        for i in range(leader if side == 0 else last - leader):
-            j = i if side == 0 else last - i
-            given = sign * gap[j - side]
-            force[j] = np.conj(1.0 / results[PIVOT, i]) * (np.conj(root) * speed - given)
-            speed = np.conj(results[GAP, i]) * given + np.conj(results[RATIO, i]) * speed
-        force[leader] += speed / np.conj(own)
-    for side in range(2):
-        results, step = both[side], 1 - 2 * side
-        for i in range((leader if side == 0 else last - leader) - 1, -1, -1):
-            j = i if side == 0 else last - i
-            force[j] += np.conj(results[PASSED, i]) * force[j + step]
+    force[last] = 0.0
+    speed = 0.0j
+    for j in range(last - 1, -1, -1):
+        speed = np.conj(of[FROM_LAST, j + 1]) * speed - np.conj(of[GAP_FROM_LAST, j]) * gap[j]
+        force[j] = np.conj(of[OWN, j]) * speed
+    speed = 0.0j
+    for j in range(1, last + 1):
+        speed = (
+            np.conj(of[FROM_NEXT, j - 1]) * speed + np.conj(of[GAP_FROM_NEXT, j - 1]) * gap[j - 1]
+        )
+        force[j] += np.conj(of[OWN, j]) * speed
 
 
 @kernel
 def _gap_slopes(
-    root: complex,
-    both: ComplexArray,
-    own: complex,
-    own_slope: complex,
-    leader: int,
-    force: ComplexArray,
-    gap_slope: ComplexArray,
+    of: ComplexArray, of_slope: ComplexArray, force: ComplexArray, gap: ComplexArray
 ) -> None:
-    """Fill dG/ds f; `force` (birds,) is f, and is changed."""
+    """Fill dG/ds f, `gap` (birds - 1,), of f, `force` (birds,)."""
     last = len(force) - 1
-    force_slope = np.zeros(last + 1, dtype=np.complex128)
     for side in range(2):
-        results, step = both[side], 1 - 2 * side
-        for i in range(leader if side == 0 else last - leader):
-            j = i if side == 0 else last - i
-            passed, passed_slope = results[PASSED, i], results[PASSED_SLOPE, i]
-            force_slope[j + step] += passed_slope * force[j] + passed * force_slope[j]
-            force[j + step] += passed * force[j]
-    for side in range(2):
-        results, sign = both[side], 1.0 - 2.0 * side
-        speed = force[leader] / own
-        speed_slope = (force_slope[leader] - speed * own_slope) / own
-        for i in range((leader if side == 0 else last - leader) - 1, -1, -1):
-            j = i if side == 0 else last - i
-            moved = force[j] / results[PIVOT, i]
-            moved_slope = (force_slope[j] - moved * results[PIVOT_SLOPE, i]) / results[PIVOT, i]
-            gap_slope[j - side] = sign * (
-                results[GAP_SLOPE, i] * speed + results[GAP, i] * speed_slope - moved_slope
-            )
-            speed_slope = (
-                results[RATIO_SLOPE, i] * speed
-                + results[RATIO, i] * speed_slope
-                + moved
-                + root * moved_slope
-            )
-            speed = results[RATIO, i] * speed + root * moved
+        ratio, distance = (FROM_LAST, GAP_FROM_LAST) if side == 0 else (FROM_NEXT, GAP_FROM_NEXT)
+        speed, slope = 0.0j, 0.0j
+        for k in range(last):
+            j = k if side == 0 else last - k
+            slope = of_slope[OWN, j] * force[j] + of_slope[ratio, j] * speed + of[ratio, j] * slope
+            speed = of[OWN, j] * force[j] + of[ratio, j] * speed
+            if side == 0:
+                gap[j] = -of_slope[distance, j] * speed - of[distance, j] * slope
+            else:
+                gap[j - 1] += of_slope[distance, j - 1] * speed + of[distance, j - 1] * slope
