@@ -52,6 +52,7 @@ figures: setup  ## redraw all figures in docs/figures
 	@./flock figures
 	@./flock survey --samples 20000 --output docs/figures/survey.png
 	@./flock arrange --spans 0.95,0.96,0.97,0.98,1,1.01,1.02,1.03,1.04 --output docs/figures/arrangement.png
+	@./flock response --gust 2e-5 --output docs/figures/response.png
 	@./flock reference --output runs/figures --force
 	@./flock view --picture docs/figures/view.png runs/figures
 
