@@ -53,8 +53,9 @@ lexicographically smallest is printed. Birds whose spans sum to 1 or less can't 
 Up to 2,000,000 orders (10 different birds) are all computed, and those that can fly are counted.
 Beyond, nearest neighbours are searched by branch and bound, with a proof that no order is better,
 up to 17 different birds, or more if some are equal. The method is then "exact", too. Otherwise
-(all-to-all coupling, or more birds) it is "local search", a heuristic: its result may not be the
-best. `flying` is null in JSON where orders are not counted; a result is null if there is none.
+(all-to-all coupling, more birds, or a proof that takes more than two minutes) it is "local
+search", a heuristic: its result may not be the best. `flying` is null in JSON where orders are not
+counted; a result is null if there is none.
 Number of birds: 2 to {MOST_BIRDS["nearest"]}, with all-to-all coupling {MOST_BIRDS["all"]}.
 Exit status: 0, whether an order can fly or not; 2 bad input."""
 
