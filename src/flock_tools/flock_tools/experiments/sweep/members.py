@@ -128,14 +128,13 @@ class Member:
 
     def having_forcing(self, bird: str, law: str, key: str, value: str) -> Member:
         """Return this flock with `key` set in the entries of a law, for `bird` if not empty."""
-        changed = tuple(
-            one.having(key, value) if one.law == law and bird in ("", one.birds) else one
-            for one in self.forcing
-        )
-        if changed == self.forcing and not any(one.law == law for one in self.forcing):
+        whose = [one.law == law and bird in ("", one.birds) for one in self.forcing]
+        if not any(whose):
             of = f" of bird {bird}" if bird else ""
             raise FlockError(f"no entry of `forcing` has the law {law!r}{of}: add one to `flock:`")
-        return replace(self, forcing=changed)
+        terms = zip(self.forcing, whose, strict=True)
+        changed = (one.having(key, value) if varies else one for one, varies in terms)
+        return replace(self, forcing=tuple(changed))
 
     def configuration(self) -> FlockConfiguration:
         """Return the configuration of this member alone. Raises FlockError if it can't be flown."""
