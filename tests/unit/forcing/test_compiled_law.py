@@ -252,6 +252,14 @@ def raising(bird, time, after=3.0):
 
 def index(neighbours, time, after=3.0):
     return neighbours.speed[7] if time > after else 0.0
+
+
+def pick(values, k):
+    return values[k]
+
+
+def index_in_a_function(neighbours, time, after=3.0):
+    return pick(neighbours.speed, 7) if time > after else 0.0
 """
 
 
@@ -263,6 +271,7 @@ def index(neighbours, time, after=3.0):
         ("rate", ["bird 1, step 3:", "laws.py:rate", "returns nan or inf"]),
         ("raising", ["bird 1, step 3:", "laws.py:raising", "has raised an exception"]),
         ("index", ["bird 1, step 3:", "laws.py:index", "has raised an exception"]),
+        ("index_in_a_function", ["bird 1, step 3:", "has raised an exception"]),
         ("inf:after=3/5", ["bird 1, step 3:", "in member 1"]),
         ("inf:after=5/3", ["bird 1, step 3:", "in member 2"]),
     ],

@@ -68,12 +68,14 @@ def _plain_callees(function: Any) -> Iterator[FunctionType]:
             yield callee
 
 
-def _let_kernels_call(functions: Iterable[FunctionType]) -> None:
+def _let_kernels_call(functions: Iterable[FunctionType], **options: bool) -> None:
+    """Compile plain functions, and those that they call; `options` are for those of the user."""
     for function in functions:
         if function not in _CALLABLE:
             _CALLABLE.add(function)
-            _let_kernels_call(_plain_callees(function))
-            numba.extending.register_jitable(**RULES, forceinline=True)(function)
+            _let_kernels_call(_plain_callees(function), **options)
+            own = {} if _is_ours(function) else options
+            numba.extending.register_jitable(**RULES, **own, forceinline=True)(function)
 
 
 def anew(function: Function, **callees: Callable[..., object]) -> Function:
@@ -86,7 +88,10 @@ def anew(function: Function, **callees: Callable[..., object]) -> Function:
 
 
 def checked(function: Function) -> Function:
-    """Compile a function as `anew` does. An index that is out of range raises IndexError."""
+    """Compile a function as `anew` does. An index that is out of range raises IndexError.
+
+    That also holds for the functions of its own module that it calls.
+    """
     return _anew(function, {}, boundscheck=True)
 
 
@@ -101,7 +106,7 @@ def _anew(
     # numba numbers functions of equal names in each process, and code from disk has the number of
     # another process. Code with the name and the number of this copy would be run instead of it.
     copy.__qualname__ = f"anew.{plain.__qualname__}"
-    _let_kernels_call(_plain_callees(copy))
+    _let_kernels_call(_plain_callees(copy), **options)
     compiled: Function = numba.njit(**RULES, **options)(copy)
     return compiled
 
