@@ -16,7 +16,7 @@ from flock_sim.console.arguments import run_tool
 from flock_sim.messages.types import Ages
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.message_age import deviation, freshness
-from flock_sim.recording.own_parts import BIRD, OwnPart, add_birds
+from flock_sim.recording.own_parts import BIRD, LAW, LINK_MODEL, OwnPart, add_parts
 from flock_sim.recording.run import Run
 from flock_sim.reference.integrator import Reference
 from flock_tools.commands import metrics
@@ -40,10 +40,10 @@ def bag(tmp_path: Path) -> Path:
     return flown_freely(tmp_path / "bag")
 
 
-def flown_freely(path: Path, *own_birds: OwnPart) -> Path:
-    """Record the flight of `bag`; the bag names `own_birds`."""
+def flown_freely(path: Path, *parts: OwnPart) -> Path:
+    """Record the flight of `bag`; the bag names `parts`."""
     with recording(path, FLOWN, grants=True, factor=4.0) as run:
-        add_birds(run.bag, own_birds)
+        add_parts(run.bag, parts)
         for recorded in Reference(FLOWN).fly():
             if recorded.step == 50:
                 recorded.position[1, 1] += 0.5
@@ -78,14 +78,22 @@ def test_the_deviation_is_that_from_the_lockstep_flight(bag: Path) -> None:
     assert off["speed"]["end"] == off["speed"]["max"] == [0.0, pytest.approx(0.25, rel=1e-12)]
 
 
-def test_own_birds_have_no_deviation_because_their_flight_in_lockstep_is_not_known(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "part",
+    [
+        OwnPart(BIRD, "Keeper"),
+        OwnPart(LAW, "laws.py:keep", "sha256:0"),
+        OwnPart(LINK_MODEL, "fading", every_stage=False),
+    ],
+)
+def test_own_parts_have_no_deviation_because_their_flight_in_lockstep_is_not_known(
+    part: OwnPart, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flown = flown_freely(tmp_path / "bag", OwnPart(BIRD, "Keeper"))
+    flown = flown_freely(tmp_path / "bag", part)
     assert run_tool(metrics.tool, [str(flown), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["deviation"] is None
-    assert told["own_parts"] == ["bird Keeper"]
+    assert told["own_parts"] == [str(part)]
     assert told["late_steps"] == [10, 10, 10]
     text = text_of(metrics.tool, capsys, str(flown))
     assert "at most 1; at recorded steps" in text

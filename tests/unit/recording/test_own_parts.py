@@ -12,15 +12,18 @@ from flock_sim.commands import reference, resume
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import Parser, run_tool
 from flock_sim.errors import FlockError
+from flock_sim.forcing import registry as forcing_registry
 from flock_sim.links import registry
 from flock_sim.links.models import LinkModel
 from flock_sim.links.registry import register
+from flock_sim.links.source_digest import digest_of_source
 from flock_sim.recording.flight_writer import lay_down, recording
-from flock_sim.recording.own_parts import BIRD, LINK_MODEL, OwnPart, add_birds
+from flock_sim.recording.own_parts import BIRD, LINK_MODEL, OwnPart, add_parts, own_laws
 from flock_sim.recording.run import Run
 from flock_tools.commands import compare, metrics, repair, report
 from flock_tools.runs.dataset import load
 from support.flights import flown_rows
+from support.own_laws import with_law
 from support.tool_runs import error_of, json_of, text_of
 
 FLOCK = {"birds": 3, "t_max": 40.0, "record_every": 10}
@@ -41,7 +44,7 @@ def only_here() -> Iterator[None]:
 def flight(path: Path, *parts: OwnPart, rows: int = 100, **flock: object) -> Path:
     """Record a flight in whose bag `parts` are named, with the states of a plain flock."""
     with recording(path, FlockConfiguration(**FLOCK, **flock), grants=True) as run:
-        add_birds(run.bag, parts)
+        add_parts(run.bag, parts)
         for row in flown_rows(FlockConfiguration(**FLOCK))[:rows]:
             run.write_row(row)
     return path
@@ -124,8 +127,12 @@ def test_a_flight_with_a_registered_model_is_repeated_where_it_is_registered(
 def test_where_it_is_not_registered_the_bag_is_read_and_its_flight_not_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run, output = str(with_model(tmp_path / "run")), ["--output", str(tmp_path / "again")]
+    run, output = str(tmp_path / "run"), ["--output", str(tmp_path / "again")]
+    register(LinkModel("frozen", frozen))
+    flock = ["--birds", "3", "--t-max", "40", "--record-every", "10", "--link", "frozen:interval=5"]
+    assert run_tool(reference.tool, [*flock, "--output", run]) == 0
     forget_models()
+    capsys.readouterr()
     assert run_tool(metrics.tool, [run, "--json"]) == 0
     assert '"own_parts": ["link model frozen"]' in capsys.readouterr().out
     assert "equal bit for bit" in text_of(compare.tool, capsys, run, run)
@@ -200,6 +207,35 @@ def test_a_repair_keeps_the_names(tmp_path: Path) -> None:
         repair.rewrite(run, tmp_path / "repaired")
     with Run(tmp_path / "repaired") as repaired:
         assert repaired.own_parts == [KEEPER]
+
+
+def test_a_repair_keeps_the_digests_of_laws_that_are_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = "def law(bird): return 0.0\n"
+    flown = with_law(tmp_path, source, "law", **FLOCK)
+    with recording(tmp_path / "run", flown, grants=True) as bag:
+        for row in flown_rows(FlockConfiguration(**FLOCK))[:2]:
+            bag.write_row(row)
+    (law,) = own_laws(flown)
+    monkeypatch.setattr(forcing_registry, "_OWN", {})  # as in another process
+    (tmp_path / "repaired").mkdir()
+    with Run(tmp_path / "run") as run:
+        repair.rewrite(run, tmp_path / "repaired")
+    with Run(tmp_path / "repaired") as repaired:
+        assert [part.digest for part in repaired.own_parts] == [law.digest]
+        assert law.digest == digest_of_source(source.encode())
+
+
+def test_a_repair_keeps_a_link_model_that_is_not_registered(tmp_path: Path) -> None:
+    run_with_model = with_model(tmp_path / "run")
+    forget_models()
+    (tmp_path / "repaired").mkdir()
+    with Run(run_with_model) as run:
+        repair.rewrite(run, tmp_path / "repaired")
+    forget_models()
+    with Run(tmp_path / "repaired") as repaired:
+        assert repaired.own_parts == [OwnPart(LINK_MODEL, "frozen")]
 
 
 def test_the_report_of_own_birds_claims_no_repeat(

@@ -28,7 +28,7 @@ from flock_sim.messages.handshake import check_handshake
 from flock_sim.nodes.own_birds import announced
 from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, recording
-from flock_sim.recording.own_parts import add_birds
+from flock_sim.recording.own_parts import add_parts
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.endpoints import DrainedNode
 from flock_sim.ros.process import Process, executing
@@ -172,7 +172,7 @@ def record_played(process: Process, output: Path, replace: bool) -> None:
         while not process.stop and not node.assembler.complete:
             if not connected and node.connected:
                 connected = True
-                add_birds(run.bag, announced(node))
+                add_parts(run.bag, announced(node))
                 note("the topics of all birds and /clock are found")
             if node.drain():
                 watchdog.reset()

@@ -25,7 +25,7 @@ from flock_sim.nodes.requested_pushes import RequestedPushes
 from flock_sim.nodes.row_topics import RowTopics
 from flock_sim.protocol.session import Session
 from flock_sim.recording.flight_writer import Recording
-from flock_sim.recording.own_parts import add_birds
+from flock_sim.recording.own_parts import add_parts
 from flock_sim.recording.row_assembler import Row, RowAssembler
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import DrainedNode, latched
@@ -247,7 +247,7 @@ class RecorderNode(DrainedNode):
     def _name_own_birds(self) -> None:
         """Write the names of the birds that are not Flock's into the bag."""
         if not self._run.closed:
-            add_birds(self._run.bag, announced(self))
+            add_parts(self._run.bag, announced(self))
 
     def _where(self) -> messages.Checkpoint:
         """Return the checkpoint of this epoch: the last row on disk."""

@@ -68,20 +68,30 @@ def unknown_link_models(links: Iterable[str]) -> list[str]:
 
 
 def own_records(configuration: FlockConfiguration) -> dict[str, dict[str, str]]:
-    """Return the metadata records of the laws and of the registered link models of a flight."""
-    return _records(own_laws(configuration), 1) | _records(own_link_models(configuration), 1)
+    """Return the metadata records of the laws and link models of a flight that are loaded here."""
+    laws = [part for part in own_laws(configuration) if part.name in digests_of([part.name])]
+    return _records(laws, 1) | _records(own_link_models(configuration), 1)
 
 
-def add_birds(bag: BagWriter, parts: Iterable[OwnPart]) -> None:
-    """Write the records of those birds in `parts` that `bag` lacks. Link models are in its head.
+def add_parts(bag: BagWriter, parts: Iterable[OwnPart]) -> None:
+    """Write the records of those `parts` that `bag` lacks. Those of `own_records` are in its head.
 
     Raises RunFailed on a full disk.
     """
     known = recorded_parts(bag.metadata)
-    new = [part for part in dict.fromkeys(parts) if part.kind == BIRD and part not in known]
-    first = 1 + sum(part.kind == BIRD for part in known)
-    for name, record in _records(new, first).items():
-        bag.add_metadata(name, record)
+    new = [part for part in dict.fromkeys(parts) if part not in known]
+    for kind in _RECORDS:
+        first = 1 + sum(part.kind == kind for part in known)
+        for name, record in _records([part for part in new if part.kind == kind], first).items():
+            bag.add_metadata(name, record)
+
+
+def is_here(part: OwnPart) -> bool:
+    """Whether this process has a law or link model as it was flown, so that it can be flown."""
+    if part.kind == LAW:
+        return digests_of([part.name]).get(part.name) == part.digest
+    known = [model.name for model in MODELS if not model.recorded]
+    return part.kind == LINK_MODEL and part.name in known
 
 
 def recorded_parts(records: Mapping[str, Mapping[str, str]]) -> list[OwnPart]:

@@ -44,7 +44,7 @@ def tool(arguments: Sequence[str]) -> int:
 
     from flock_sim.analysis.summary import summary
     from flock_sim.recording.message_age import freshness
-    from flock_sim.recording.own_parts import BIRD, lacking, names
+    from flock_sim.recording.own_parts import is_here, lacking
     from flock_sim.recording.run import Run
 
     with Run(options.run) as run:
@@ -55,7 +55,7 @@ def tool(arguments: Sequence[str]) -> int:
         metrics, fresh = run.metrics(time), freshness(run)
         means, verdicts = run.time_means(metrics.t_final, over), run.verdicts(time)
         own, digest = run.own_parts, run.state_digest
-        off = _deviation(run) if fresh and not names(own, BIRD) else None
+        off = _deviation(run) if fresh and all(map(is_here, own)) else None
     if options.json:
         free = fresh.as_json() | {"deviation": off and off.as_json()} if fresh else {}
         parts = {"own_parts": [str(part) for part in own]}

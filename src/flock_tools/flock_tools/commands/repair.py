@@ -159,7 +159,7 @@ def rewrite(run: Run, output: Path, *, replace: bool = False) -> int:
     from flock_sim.messages import topics
     from flock_sim.recording.flight_bag import has_stages
     from flock_sim.recording.flight_writer import recording
-    from flock_sim.recording.own_parts import add_birds
+    from flock_sim.recording.own_parts import add_parts
 
     grants = topics.GRANT_TOPIC in run.bag.topics
     live = topics.PERTURBATION_TOPIC in run.bag.topics
@@ -176,7 +176,7 @@ def rewrite(run: Run, output: Path, *, replace: bool = False) -> int:
         machines=run.machines,
     ) as whole:
         try:
-            add_birds(whole.bag, run.own_parts)
+            add_parts(whole.bag, run.own_parts)
             for topic, log_time, data in run.bag.salvage([], []):
                 if pushes.take(topic, data):
                     try:
