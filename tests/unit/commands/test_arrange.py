@@ -131,6 +131,7 @@ def test_bad_input_is_one_line(
     [
         ('span_ratios: ["4=1.05"]', "leave the key out"),
         ('links: ["linear:delay=2"]', "arrange solves the exact coupling"),
+        ('forcing: ["gust:std=1"]', "arrange solves the flight without forces"),
     ],
 )
 def test_a_configuration_that_says_otherwise_is_refused(

@@ -143,6 +143,7 @@ def test_a_picture_of_each_kind(tmp_path: Path, capsys: Capture) -> None:
         (("--link-model", "line"), "--link-model 'line': did you mean 'linear'?"),
         (("--lag", "2", "--sensitivity"), "--sensitivity is for flocks without a lag"),
         (("--member", "2"), "--member 2: must be a whole number, 1..1"),
+        (("--forcing", "gust:std=1"), "response solves the flight without forces"),
         (("--link", "hold"), "response solves the exact coupling"),
         (("--birds", "1", "--output", "x.png"), "needs a flock of 2 birds or more"),
         (("--output", "x.xyz"), "must end in one of"),

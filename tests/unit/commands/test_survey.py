@@ -170,13 +170,19 @@ def test_bad_input_is_one_line(
     assert words in error_of(tool, capsys, *arguments)
 
 
-def test_a_survey_over_links_that_are_not_exact_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ('links: ["linear:delay=2"]', "links linear:delay=2: survey solves the exact coupling"),
+        ('forcing: ["gust:std=1"]', "forcing gust:std=1: survey solves the flight without forces"),
+    ],
+)
+def test_a_survey_of_flocks_with_other_links_or_forces_is_refused(
+    entry: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "flock.yaml"
-    file.write_text('/**:\n  ros__parameters:\n    links: ["linear:delay=2"]\n')
-    error = error_of(tool, capsys, "--config", str(file), "--samples", "10")
-    assert "links linear:delay=2: survey solves the exact coupling" in error
+    file.write_text(f"/**:\n  ros__parameters:\n    {entry}\n")
+    assert words in error_of(tool, capsys, "--config", str(file), "--samples", "10")
 
 
 class Counting(Executor):

@@ -18,7 +18,7 @@ from flock_sim.configuration.options import (
 )
 from flock_sim.console.arguments import Parser, print_json, run_tool, shown
 from flock_sim.errors import FlockError
-from flock_tools.commands.options import add_picture_options, check_links_exact
+from flock_tools.commands.options import add_picture_options, check_links_exact, check_unforced
 from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -231,6 +231,7 @@ def _flock(options: argparse.Namespace) -> FlockConfiguration:
             "leave the key out"
         )
     check_links_exact(configuration, "arrange")
+    check_unforced(configuration, "arrange")
     return replace(configuration, perturbations=(), links=())
 
 

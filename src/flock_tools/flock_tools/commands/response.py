@@ -19,7 +19,7 @@ from flock_sim.console.arguments import (
     whole_number,
 )
 from flock_sim.errors import FlockError, nearest
-from flock_tools.commands.options import add_picture_options, check_links_exact
+from flock_tools.commands.options import add_picture_options, check_links_exact, check_unforced
 from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -128,6 +128,7 @@ def _parser() -> Parser:
 def _flock(options: argparse.Namespace) -> FlockConfiguration:
     configuration = flock_configuration(options)
     check_links_exact(configuration, "response")
+    check_unforced(configuration, "response")
     if configuration.coupling == "all" and configuration.birds > MOST_TO_ALL:
         raise FlockError(
             f"birds = {configuration.birds}: must be {MOST_TO_ALL} or less with --coupling all, "

@@ -29,6 +29,7 @@ from flock_tools.commands.options import (
     add_picture_options,
     add_scheduler_option,
     check_links_exact,
+    check_unforced,
     two_numbers,
 )
 from flock_tools.figures.output import check_picture, write_picture
@@ -185,6 +186,7 @@ def _flocks(options: argparse.Namespace) -> list[FlockConfiguration]:
     if sizes is None:
         sizes = SIZES if options.config is None else str(flock.birds)
     check_links_exact(flock, "survey")
+    check_unforced(flock, "survey")
     # A steady state has no perturbations.
     flock = replace(flock, perturbations=(), links=())
     return [replace(flock, birds=birds) for birds in whole_numbers("--birds", sizes, 2)]
