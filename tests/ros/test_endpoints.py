@@ -230,7 +230,7 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
     with flock(context, tmp_path) as nodes:
         recorder = nodes["recorder"]
         one = np.ones(1)
-        state = messages.State.at(CONFIGURATION, 0, *6 * [one], 8, 1).encode()
+        state = messages.State.at(CONFIGURATION, 0, *6 * [one], run_id=8, epoch=1).encode()
         wing = messages.Wing(8, 1, one).encode()
         memory = messages.Memory(8, 0, 1, 1, one).encode()
         states, memories, wings = Stub(state), Stub(memory), Stub(wing)
@@ -273,7 +273,7 @@ class Joined:
 
     def say(self, bird: int, step: int, run_id: int = 7) -> None:
         one = np.ones(1)
-        state = messages.State.at(CONFIGURATION, step, *6 * [one], run_id, 1)
+        state = messages.State.at(CONFIGURATION, step, *6 * [one], run_id=run_id, epoch=1)
         self.states[bird - 1].waiting.append(state.encode())
 
     def tell(self, step: int) -> None:

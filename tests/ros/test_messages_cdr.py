@@ -49,7 +49,7 @@ FIELDS = {
         [
             "header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "step", "time",
             "position", "speed", "circulation", "interaction_drag", "mean_speed",
-            "mean_interaction_drag", "run_id", "epoch",
+            "mean_interaction_drag", "forcing_state", "run_id", "epoch",
         ],
     ),
     messages.Grant: (
@@ -58,7 +58,10 @@ FIELDS = {
     messages.Progress: (Progress, ["run_id", "step", "epoch", "who", "life"]),
     messages.Checkpoint: (
         Checkpoint,
-        ["run_id", "step", "epoch", "position", "speed", "perturbations", "memory"],
+        [
+            "run_id", "step", "epoch", "position", "speed", "perturbations", "memory",
+            "forcing_state",
+        ],
     ),
     messages.Memory: (BirdMemory, ["run_id", "step", "epoch", "bird", "data"]),
     messages.Ages: (
