@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from flock_tools.testing import fly as fly
 
 _MODULES = {
-    "Comparison": "runs.comparison",
-    "compare": "runs.comparison",
-    "fly": "testing",
-    "load": "runs.dataset",
+    "Comparison": "flock_tools.runs.comparison",
+    "compare": "flock_tools.runs.comparison",
+    "fly": "flock_tools.testing",
+    "load": "flock_tools.runs.dataset",
 }
-"""The module below this package that defines each public name."""
+"""The module that defines each public name."""
 
 __all__ = list(_MODULES)
 

@@ -2,13 +2,16 @@
 """The embedded definitions are complete, in rosbag2's format, with the type's true hash."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from flock_sim.bag import definitions
 from flock_sim.bag.definitions import installed_definition
 from flock_sim.errors import FlockError
+from flock_sim.messages.types import Message
 
 TYPES = [
     *(f"flock_interfaces/msg/Bird{name}" for name in ("Wing", "Stage", "State")),
@@ -28,6 +31,20 @@ def test_rosbags_parses_the_text_and_computes_the_same_hash(name: str) -> None:
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definition.text, name))
     assert store.hash_rihs01(name) == definition.type_hash
+
+
+def test_without_ros_the_definitions_of_flock_are_those_that_are_installed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    types = sorted({kind.TYPE for kind in Message.__subclasses__()})
+    installed = {name: installed_definition(name) for name in types}
+    monkeypatch.setitem(sys.modules, "ament_index_python", None)
+    assert {name: installed_definition(name) for name in types} == installed, (
+        "run `./flock python tools/message_definitions.py`"
+    )
+    assert list(definitions._copies()) == types
+    with pytest.raises(FlockError, match=r"std_msgs/msg/Header needs ROS 2"):
+        installed_definition("std_msgs/msg/Header")
 
 
 def test_nested_definitions_follow_in_rosbag2s_format(

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions for a bag, from the installed ROS packages."""
+"""Message definitions for a bag, from the installed ROS packages.
+
+Without ROS 2, a copy of the definitions of Flock's own messages, in `definitions.json`, is used.
+"""
 
 import json
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-
 from flock_sim.errors import FlockError
+
+COPIES = Path(__file__).with_name("definitions.json")
+"""The definitions of all types that a flight's bag has, by `tools/message_definitions.py`."""
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(r"(\w+)/(?:msg/)?(\w+)", re.ASCII)
@@ -41,9 +46,24 @@ def installed_definition(type_name: str) -> Definition:
     Nested definitions follow the type's own text in the order and format of rosbag2: depth
     first, alphabetical within a type, each once, after a line of 80 "=" and "MSG: package/Type".
 
-    Raises FlockError if the environment does not have the package or the type.
+    Without ROS 2 it returns the copy of a type of Flock. Raises FlockError if the environment does
+    not have the package or the type.
     """
+    try:
+        import ament_index_python  # noqa: F401
+    except ImportError:
+        if type_name in _copies():
+            return _copies()[type_name]
+        raise FlockError(
+            f"message type {type_name} needs ROS 2, which is not installed here"
+        ) from None
     return Definition(type_name, _text(type_name), _type_hash(type_name))
+
+
+@cache
+def _copies() -> dict[str, Definition]:
+    entries = json.loads(COPIES.read_text(encoding="utf-8"))
+    return {entry["type"]: Definition(**entry) for entry in entries}
 
 
 def _text(type_name: str) -> str:
@@ -83,6 +103,8 @@ def _read(type_name: str, suffix: str) -> str:
     if match is None:
         raise FlockError(f"message type {type_name!r} is not of the form package/msg/Type")
     package, name = match.groups()
+    from ament_index_python.packages import get_package_share_directory
+
     try:
         share = get_package_share_directory(package, print_warning=False)
         return (Path(share) / "msg" / f"{name}{suffix}").read_text(encoding="utf-8")

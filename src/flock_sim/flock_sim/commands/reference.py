@@ -23,9 +23,7 @@ from flock_sim.errors import FlockError
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.configuration.perturbation import Perturbation
-    from flock_sim.physics.flock_state import FlockState
     from flock_sim.recording.output_directory import Output
-    from flock_sim.recording.row_assembler import Row
     from flock_sim.recording.run import Run
 
 EXAMPLES = """\
@@ -116,43 +114,14 @@ def _integrate(
     """Integrate and record; return the time of the integration alone, in s."""
     from flock_sim.console.progress import progress_bar
     from flock_sim.launcher.precompile import warm_reference
-    from flock_sim.messages.types import Push
-    from flock_sim.recording.flight_writer import recording
-    from flock_sim.reference.integrator import Reference
+    from flock_sim.recording.reference_flight import record_reference
 
     # The rate must not include the load of compiled code.
     warm_reference(() if configuration.link_table.plain else ("hold",))
-    seconds = 0.0
-    with (
-        recording(
-            output.path, configuration, grants=False, live=bool(live), replace=output.replaces
-        ) as run,
-        progress_bar("integrating", configuration) as show,
-    ):
-        for number, perturbation in enumerate(live, start=1):
-            run.write_perturbation(Push.of(0, number, perturbation))
-        flight = Reference(configuration, live=live).fly()
-        while True:
-            begun = time.perf_counter()
-            recorded = next(flight, None)
-            seconds += time.perf_counter() - begun
-            if recorded is None:
-                return seconds
-            run.write_row(row(configuration, recorded))
-            show(recorded.step)
-
-
-def row(configuration: FlockConfiguration, recorded: FlockState) -> Row:
-    """Return a recorded step as the messages that a flock of nodes would have sent."""
-    from flock_sim.messages.types import State, Time, Wing
-    from flock_sim.recording.row_assembler import Row
-
-    birds = range(configuration.birds)
-    ratio = configuration.span_ratio
-    wings = [Wing(0, i + 1, ratio[i]).encode() for i in birds] if recorded.step == 0 else []
-    time_message = Time.at(configuration.stamp(recorded.step)).encode()
-    states = [state.encode() for state in State.of_flock(configuration, recorded)]
-    return Row(recorded.step, wings, [], time_message, states)
+    with progress_bar("integrating", configuration) as show:
+        return record_reference(
+            output.path, configuration, live, replace=output.replaces, on_step=show
+        )
 
 
 def main() -> int:

@@ -26,6 +26,9 @@ MOST = 2**53
 LONGEST_TEXT = 60
 """Most characters of a value that are shown in an error."""
 
+program = "./flock"
+"""The command that runs the tools of this process."""
+
 TIMEOUT = "60"
 """Longest standstill of a flight, in s, unless an option says otherwise."""
 
@@ -36,9 +39,9 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, tool: str, description: str, examples: str) -> None:
         """Make the parser of `tool`; `examples` is the end of its help text."""
         super().__init__(
-            prog=f"./flock {tool}",
-            description=description,
-            epilog=f"examples:\n{examples}",
+            prog=f"{program} {tool}",
+            description=_by_this_command(description),
+            epilog=_by_this_command(f"examples:\n{examples}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -46,6 +49,11 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise FlockError instead of printing the usage."""
         raise FlockError(f"{message}; {self.prog} --help tells more")
+
+
+def _by_this_command(text: str) -> str:
+    """Return a help text with the command that runs the tools here."""
+    return text.replace("./flock ", f"{program} ")
 
 
 def whole_number(name: str, text: str, least: int, most: int | None = None) -> int:

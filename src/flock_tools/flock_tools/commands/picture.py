@@ -7,19 +7,10 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from flock_sim.console.arguments import Parser, note, run_tool, whole_number
 from flock_tools.commands.options import add_moment_option, moment
 from flock_tools.figures.output import check_picture, write_picture
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from flock_sim.recording.run import Run
-
-MOST_TIMES = 2000
-"""Largest number of recorded rows that a curve is drawn through."""
 
 DESCRIPTION = """\
 Draw the formation at one time, each bird coloured by the drag it saves, and below it two curves
@@ -53,7 +44,7 @@ def tool(arguments: Sequence[str]) -> int:
     check_picture(options.output)
 
     from flock_sim.recording.run import Run
-    from flock_tools.figures.run_history import draw
+    from flock_tools.figures.run_history import draw_run
 
     with Run(options.run) as run:
         if run.missing:
@@ -61,27 +52,10 @@ def tool(arguments: Sequence[str]) -> int:
         member = whole_number("--member", options.member, 1, run.configuration.members)
         output = _output(options, member)
         check_picture(output)
-        metrics, verdicts = run.metrics(time), run.verdicts(time)
-        means = run.time_means(metrics.t_final)
-        history = _history(run).sel(member=member)
-        figure = draw(run.configuration, metrics, means, verdicts, history, member)
+        figure = draw_run(run, time, member)
     write_picture(figure, output)
     print(output)
     return 0
-
-
-def _history(run: Run) -> xr.Dataset:
-    """Return about MOST_TIMES rows of a run, with the first and the last."""
-    import xarray as xr
-
-    from flock_tools.runs.dataset import read
-
-    end = run.at()
-    rows = end.step // run.configuration.record_every + 1
-    history = read(run, stride=-(-rows // MOST_TIMES))
-    if history.step[-1] == end.step:
-        return history
-    return xr.concat([history, read(run, start=end.time)], "time", data_vars="minimal")
 
 
 def _output(options: argparse.Namespace, member: int) -> Path:

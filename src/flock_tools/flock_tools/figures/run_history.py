@@ -16,10 +16,12 @@ from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.recording.run import Run
 from flock_tools.figures.labels import keep_apart
 from flock_tools.figures.plan_drawing import draw_formation
 from flock_tools.figures.plan_view import PlanView
 from flock_tools.figures.style import ALARM, FAINT, INK, STYLE, flock_name
+from flock_tools.runs.dataset import read
 
 WIDTH = 9.0
 """Width of the picture, in inches; all lengths on it are in inches."""
@@ -46,6 +48,28 @@ WIDEST_GAP, LINEAR = 30.0, 10.0
 """Spacing in b above which the axis of spacings is logarithmic, and its linear part."""
 
 TIME = "time t (b/$U_\\mathrm{min}$)"
+
+
+MOST_TIMES = 2000
+"""Largest number of recorded rows that a curve is drawn through."""
+
+
+def draw_run(run: Run, time: float | None, member: int) -> Figure:
+    """Return the picture of `member` (from 1) of a run at `time`, in b / U_min; None is the end."""
+    metrics, verdicts = run.metrics(time), run.verdicts(time)
+    means = run.time_means(metrics.t_final)
+    history = _history(run).sel(member=member)
+    return draw(run.configuration, metrics, means, verdicts, history, member)
+
+
+def _history(run: Run) -> xr.Dataset:
+    """Return about MOST_TIMES rows of a run, with the first and the last."""
+    end = run.at()
+    rows = end.step // run.configuration.record_every + 1
+    history = read(run, stride=-(-rows // MOST_TIMES))
+    if history.step[-1] == end.step:
+        return history
+    return xr.concat([history, read(run, start=end.time)], "time", data_vars="minimal")
 
 
 def draw(

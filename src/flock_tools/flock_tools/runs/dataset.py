@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from flock_sim.configuration.flock_configuration import LISTS
+from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages.state import ARRAYS
 from flock_sim.messages.state_layout import forcing_states_of, members_of, steps_of, values_of
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
+from flock_sim.physics.scaling import Scales, drag_reduction
 from flock_sim.recording.run import Run
 
 BLOCK = 4096
@@ -37,6 +38,8 @@ ATTRIBUTES = {
         "<sum_j D_ji>",
         "rho b^2 U_min^2",
     ),
+    "drag_reduction": ("drag saved, over that of the standard bird at cruise", "eta_i", "1"),
+    "verdict": ("verdict on the flight up to the last time", "", "1"),
     "forcing_state": ("state of the laws that act on the bird", "", "1"),
     "state_number": ("number of a law's state", "", "1"),
     "span_ratio": ("wing span over that of the standard bird", "lambda_i", "1"),
@@ -55,7 +58,8 @@ def load(
 
     `position`, `speed`, `circulation`, `interaction_drag`, and the means `mean_speed` and
     `mean_interaction_drag` over all steps since the recorded state before (nan in bags of versions
-    that did not record them) have dims (time, bird, member),
+    that did not record them) and `drag_reduction` have dims (time, bird, member), `verdict`, on the
+    flight up to the last of these times, (member),
     `span_ratio` and `lateral` (bird, member), `forcing_state`, if laws with a state act on birds,
     (time, bird, state_number, member), the coordinate `step` (time); all dimensionless, with
     `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
@@ -99,6 +103,8 @@ def read(
     dataset = xr.Dataset(
         {name: (dims, values[k]) for k, name in enumerate(ARRAYS)}
         | {
+            "drag_reduction": (dims, _drag_reduction(values, configuration)),
+            "verdict": ("member", run.verdicts(times[-1]).verdict),
             "span_ratio": (dims[1:], ratio),
             "lateral": (dims[1:], formation.lateral_positions(ratio)),
         },
@@ -164,6 +170,12 @@ def _values(run: Run, rows: range) -> tuple[FloatArray, FloatArray]:
     if states:
         place()
     return values, forcing
+
+
+def _drag_reduction(values: FloatArray, configuration: FlockConfiguration) -> FloatArray:
+    """Return eta of all rows, birds and members from the values of all states."""
+    drag = values[ARRAYS.index("interaction_drag")]
+    return drag_reduction(drag, Scales.of(configuration).cruise_drag)
 
 
 def _attributes(run: Run) -> dict[str, Any]:

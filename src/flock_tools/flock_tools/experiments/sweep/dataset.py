@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -69,33 +69,52 @@ def dataset(
         for name, part in _values(flight, bag).items():
             shape = (sweep.size, *part.shape[1:])
             values.setdefault(name, np.empty(shape, part.dtype))[members] = part
-    axes = [axis.dimension for axis in sweep.axes]
-    birds = sweep.flock.birds
-    coordinates: dict[str, Any] = {axis.dimension: list(axis.values) for axis in sweep.axes}
-    coordinates[BIRD] = np.arange(1, birds + 1, dtype=np.int32)
-    if birds > 1:
-        coordinates[GAP] = np.arange(1, birds, dtype=np.int32)
-    found = xr.Dataset(
-        {
-            name: ([*axes, *_extra(name, array)], array.reshape(*sweep.shape, *array.shape[1:]))
-            for name, array in values.items()
-        },
-        coordinates,
-        _attributes(sweep, command),
-    )
-    for name, (long_name, units) in ATTRIBUTES.items():
-        if name in found.variables:
-            found[name].attrs = {"long_name": long_name, "units": units}
+    found = labelled(values, sweep.flock.birds, coordinates(sweep))
+    found.attrs = _attributes(sweep, command)
     found["verdict"].attrs |= {
         "flag_values": np.arange(len(WORDS), dtype=np.int8),
         "flag_meanings": " ".join(WORDS),
     }
-    for axis in sweep.axes:
-        found[axis.dimension].attrs = {
-            "long_name": axis.long_name,
-            "units": axis.units,
-            "axis_name": axis.name,
-        }
+    return found
+
+
+def coordinates(sweep: Sweep) -> dict[str, xr.Variable]:
+    """Return the coordinate of each axis, by dimension."""
+    return {
+        axis.dimension: xr.Variable(
+            axis.dimension,
+            list(axis.values),
+            {"long_name": axis.long_name, "units": axis.units, "axis_name": axis.name},
+        )
+        for axis in sweep.axes
+    }
+
+
+def labelled(
+    values: Mapping[str, np.ndarray],
+    birds: int,
+    axes: Mapping[str, xr.Variable],
+    attributes: Mapping[str, tuple[str, str]] = ATTRIBUTES,
+) -> xr.Dataset:
+    """Return values of flocks as a dataset with `axes`, plus `bird` or `gap`, as dimensions.
+
+    The first dimension of each array is the flock. The last axis varies fastest. `attributes` are
+    the long name and the unit of each variable.
+    """
+    shape = [len(axis) for axis in axes.values()]
+    found = xr.Dataset(
+        {
+            name: ([*axes, *_extra(array, birds)], array.reshape(*shape, *array.shape[1:]))
+            for name, array in values.items()
+        },
+        axes,
+    )
+    for name in (BIRD, GAP):
+        if name in found.sizes:
+            found[name] = np.arange(1, found.sizes[name] + 1, dtype=np.int32)
+    for name, (long_name, units) in attributes.items():
+        if name in found.variables:
+            found[name].attrs = {"long_name": long_name, "units": units}
     return found
 
 
@@ -156,9 +175,9 @@ def _judged(verdicts: Verdicts) -> dict[str, np.ndarray]:
     }
 
 
-def _extra(name: str, array: np.ndarray) -> list[str]:
+def _extra(array: np.ndarray, birds: int) -> list[str]:
     """Return the dimension of a variable besides the axes, if it has one."""
-    return [GAP if name == "spacing" else BIRD] if array.ndim > 1 else []
+    return [] if array.ndim == 1 else [BIRD if array.shape[1] == birds else GAP]
 
 
 def _attributes(sweep: Sweep, command: str) -> dict[str, Any]:
