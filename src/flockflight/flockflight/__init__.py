@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from flock_sim.errors import FlockError as FlockError
     from flock_sim.errors import RunFailed as RunFailed
     from flock_tools.runs.comparison import Comparison as Comparison
-    from flock_tools.runs.comparison import compare as compare
     from flockflight.flock import Flock as Flock
     from flockflight.flock import Sweep as Sweep
+    from flockflight.recorded import compare as compare
     from flockflight.recorded import load as load
     from flockflight.recorded import picture as picture
     from flockflight.results import table as table
@@ -43,7 +43,7 @@ _MODULES = {
     "Push": "flockflight.values",
     "RunFailed": "flock_sim.errors",
     "Sweep": "flockflight.flock",
-    "compare": "flock_tools.runs.comparison",
+    "compare": "flockflight.recorded",
     "load": "flockflight.recorded",
     "picture": "flockflight.recorded",
     "table": "flockflight.results",

@@ -11,7 +11,7 @@ import xarray as xr
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.recording.output_directory import own_output
-from flock_sim.recording.reference_flight import record_reference
+from flock_sim.launcher.reference_flight import record_reference
 from flockflight.recorded import load, without_single_member
 
 

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from flock_tools.runs.comparison import Comparison
+
 
 def load(
     path: str | Path, start: float | None = None, end: float | None = None, stride: int = 1
@@ -30,6 +32,17 @@ def without_single_member(found: xr.Dataset) -> xr.Dataset:
     if found.sizes.get("member") == 1:
         return found.squeeze("member", drop=True)
     return found
+
+
+def compare(
+    first: str | Path, second: str | Path, tolerance: float | None = None
+) -> Comparison:
+    """Compare two recorded flights bit for bit, or to within `tolerance`, as `compare` does."""
+    from flock_sim.recording.run import Run
+    from flock_tools.runs.comparison import compare as compare_runs
+
+    with Run(first) as one, Run(second) as other:
+        return compare_runs(one, other, tolerance)
 
 
 def picture(path: str | Path, at: float | None = None, member: int = 1) -> Figure:

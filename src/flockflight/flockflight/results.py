@@ -44,7 +44,7 @@ ATTRIBUTES = {
     "weakest_gap": ("gap nearest to opening, or that opens; 0: none", "1"),
     "leading_eigenvalue_real": ("growth rate of the disturbance that decays last", "U_min/b"),
     "leading_eigenvalue_imag": ("angular frequency of that disturbance", "U_min/b"),
-    "position": ("streamwise position of the bird, from bird 1", "b"),
+    "position": ("streamwise position of the bird, from the leader", "b"),
     "lateral": ("lateral position of the bird, from the leader", "b"),
     "span_ratio": ("wing span over that of the standard bird", "1"),
     "speed_gain_peak": ("largest gain from the leader's speed to the bird's", "1"),

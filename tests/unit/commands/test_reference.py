@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flock_sim.commands.reference import row, tool
+from flock_sim.launcher.reference_flight import row, tool
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
 from flock_sim.messages.types import Push

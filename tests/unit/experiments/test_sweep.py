@@ -15,7 +15,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.recording.reference_flight import row
+from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError

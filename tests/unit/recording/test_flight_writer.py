@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.recording.reference_flight import row as row_of
+from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
@@ -406,7 +406,7 @@ def test_a_recorder_that_is_killed_again_and_again_records_the_whole_flight(
         from flock_sim.configuration.flock_configuration import FlockConfiguration
         from flock_sim.reference.integrator import Reference
         from flock_sim.recording.flight_writer import recording
-        from flock_sim.recording.reference_flight import row
+        from flock_sim.launcher.reference_flight import row
         flown = FlockConfiguration(birds=2, t_max=5000.0, record_every=1)
         with recording(Path(sys.argv[1]), flown, grants=True, resume=True) as run:
             print(run.saved, flush=True)

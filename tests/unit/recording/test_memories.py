@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.recording.reference_flight import row as row_of
+from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages.types import Memory

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.recording.reference_flight import row
+from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.messages.types import Ages

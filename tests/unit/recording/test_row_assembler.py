@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.recording.reference_flight import row
+from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.stage_layout import HEADER, stage_bytes, stage_words

@@ -15,7 +15,7 @@ import pytest
 from flock_sim.analysis.flight_verdict import Flown
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.recording.reference_flight import row
+from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError

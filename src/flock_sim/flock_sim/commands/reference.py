@@ -114,7 +114,7 @@ def _integrate(
     """Integrate and record; return the time of the integration alone, in s."""
     from flock_sim.console.progress import progress_bar
     from flock_sim.launcher.precompile import warm_reference
-    from flock_sim.recording.reference_flight import record_reference
+    from flock_sim.launcher.reference_flight import record_reference
 
     # The rate must not include the load of compiled code.
     warm_reference(() if configuration.link_table.plain else ("hold",))
