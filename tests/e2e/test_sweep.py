@@ -40,9 +40,9 @@ def last_step(bag: Path) -> int:
         return -1
 
 
-def started(terminal: Terminal) -> Job:
+def started(terminal: Terminal, *arguments: str) -> Job:
     (terminal.directory / "s.yaml").write_text(FILE)
-    return terminal.start("sweep", "s.yaml", "--members-at-once", 3, "--json")
+    return terminal.start("sweep", "s.yaml", "--members-at-once", 3, "--json", *arguments)
 
 
 def assert_members_are_those_of_the_reference(terminal: Terminal) -> None:
@@ -92,3 +92,44 @@ def test_a_sweep_killed_at_any_time_goes_on_by_the_same_command(terminal: Termin
     assert (runs / "flight_01" / "flight_01_0.mcap").stat().st_mtime_ns == first.st_mtime_ns
     assert (runs / "sweep.png").read_bytes().startswith(b"\x89PNG")
     assert_members_are_those_of_the_reference(terminal)
+
+    done = started(terminal, "--reference", "--output", "runs/r").wait()
+    assert done.json["flights_flown"] == 2
+    names = ("runs/s/sweep.nc", "runs/r/sweep.nc")
+    ours, theirs = (xr.load_dataset(terminal.directory / name, engine="scipy") for name in names)
+    for found in (ours, theirs):
+        del found.attrs["command"]
+    assert theirs.identical(ours)
+
+
+MANY = """\
+flock: {birds: 3, t_max: 200000, record_every: 2000}
+axes:
+  lambda_2: {from: 0.97, to: 1.04, count: 300}
+"""
+
+
+@pytest.mark.slow
+def test_a_sweep_of_the_reference_killed_in_flight_flies_the_rest(terminal: Terminal) -> None:
+    (terminal.directory / "many.yaml").write_text(MANY)
+    command = ("sweep", "many.yaml", "--members-at-once", 8, "--reference", "--json")
+    results = terminal.directory / "runs/many/sweep.npz"
+    job = terminal.start(*command)
+    job.until(results.exists)
+    kill(job)
+    with np.load(results) as stored:
+        flown = int(stored["flown"].sum())
+    assert 0 < flown < 300
+
+    job = terminal.start(*command)
+    job.until_said("300 members")
+    job.interrupt()
+    assert job.wait().status == 130
+    with np.load(results) as stored:
+        assert int(stored["flown"].sum()) >= flown
+
+    done = terminal.start(*command).wait()
+    assert done.status == 0, done.stderr
+    assert done.json["flights"] == 38
+    assert 0 < done.json["flights_flown"] <= 38 - flown // 8
+    assert not list((terminal.directory / "runs/many").glob("flight_*"))

@@ -6,12 +6,16 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
+from flock_sim.analysis.verdict import WORDS
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.recording.output_directory import own_output
 from flock_sim.launcher.reference_flight import record_reference
+from flock_tools.experiments.sweep.by_reference import fly_by_reference
+from flock_tools.experiments.sweep.specification import Sweep
 from flockflight.recorded import load, without_single_member
 
 
@@ -34,3 +38,14 @@ def fly(configuration: FlockConfiguration, output: str | Path | None, timeout: f
             "computes the same flight bit for bit"
         ) from None
     return without_single_member(fly_nodes(configuration, output=output, timeout=timeout))
+
+
+def run_all(plan: Sweep, output: str | Path | None) -> xr.Dataset:
+    """Fly all flocks of a sweep in one loop each, on all cores."""
+    found = fly_by_reference(plan, None if output is None else Path(output))
+    words = np.array(WORDS)[found.verdict]
+    return found.assign(verdict=(found.verdict.dims, words, _described(found.verdict)))
+
+
+def _described(verdict: xr.DataArray) -> dict[str, str]:
+    return {name: verdict.attrs[name] for name in ("long_name", "units")}

@@ -199,8 +199,8 @@ class Sweep:
     def run(self, output: str | Path | None = None) -> xr.Dataset:
         """Fly all flocks in one loop each, without ROS 2, on all cores; return their ends.
 
-        With `output`, the bags are kept there. If a sweep in `output` was interrupted, it is
-        continued.
+        With `output`, the results are written to sweep.nc there as they come, and an interrupted
+        sweep goes on from them.
         """
         return flights.run_all(self.plan, output)
 

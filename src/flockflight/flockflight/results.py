@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
@@ -16,13 +16,10 @@ from flock_sim.physics.flock import Flock
 from flock_sim.response.linear_response import linear_response
 from flock_sim.theory.delayed_linearisation import MODELS
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES as OF_FLIGHTS
-from flock_tools.experiments.sweep.dataset import BIRD, GAP, labelled
+from flock_tools.experiments.sweep.dataset import BIRD, GAP, Values, labelled, put
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Values = dict[str, npt.NDArray[Any]]
-"""Arrays by name. The first dimension is the member, the second, if any, the bird or the gap."""
 
 Computation = Callable[[FlockConfiguration], Values]
 
@@ -204,7 +201,7 @@ def attributes(configuration: FlockConfiguration) -> dict[str, Any]:
 
 
 def dataset(
-    parts: Iterable[tuple[Iterable[int], Values]],
+    parts: Iterable[tuple[Sequence[int], Values]],
     birds: int,
     axes: Mapping[str, xr.Variable],
     about: Mapping[str, Any],
@@ -213,12 +210,10 @@ def dataset(
 
     `axes` are its dimensions besides bird and gap, and `about` its attributes.
     """
-    size = int(np.prod([len(axis) for axis in axes.values()]))
+    size = math.prod(len(axis) for axis in axes.values())
     together: Values = {}
     for members, values in parts:
-        for name, part in values.items():
-            whole = together.setdefault(name, np.empty((size, *part.shape[1:]), part.dtype))
-            whole[list(members)] = part
+        put(together, size, members, values)
     found = labelled(together, birds, axes, ATTRIBUTES)
     found.attrs = {**about}
     return found

@@ -25,7 +25,7 @@ from flock_sim.recording.flight_writer import recording
 from flock_sim.reference.integrator import Reference
 from flock_tools.commands.sweep import tool
 from flock_tools.experiments.sweep.axes import axis
-from flock_tools.experiments.sweep.dataset import ATTRIBUTES, dataset, netcdf
+from flock_tools.experiments.sweep.dataset import ATTRIBUTES, dataset, netcdf, recorded
 from flock_tools.experiments.sweep.directory import SweepDirectory
 from flock_tools.experiments.sweep.members import MOST_RECORDS, record_every
 from flock_tools.experiments.sweep.runner import fly_all
@@ -359,7 +359,7 @@ def flown(swept: Sweep, directory: Path) -> xr.Dataset:
     bags = [SweepDirectory(directory).bag(flight) for flight in flights]
     for flight, bag in zip(flights, bags, strict=True):
         record(bag, flight.configuration)
-    return dataset(swept, flights, bags, "./flock sweep s.yaml")
+    return dataset(swept, recorded(swept, flights, bags), "./flock sweep s.yaml")
 
 
 def test_a_member_that_diverges_is_told_and_spoils_no_other(tmp_path: Path) -> None:

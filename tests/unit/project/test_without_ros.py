@@ -40,7 +40,7 @@ ROS = (
         ),
         (
             "console configuration bag recording",
-            f"{ROS.replace('ament_index_python ', '')} flock_tools matplotlib xarray numba",
+            f"{ROS} flock_tools matplotlib xarray numba",
             "flock_sim.recording.run",
         ),
     ],

@@ -106,10 +106,13 @@ def _read(type_name: str, suffix: str) -> str:
     from ament_index_python.packages import get_package_share_directory
 
     try:
+        # Imported here: bags are read without ROS, too.
+        from ament_index_python.packages import get_package_share_directory
+
         share = get_package_share_directory(package, print_warning=False)
         return (Path(share) / "msg" / f"{name}{suffix}").read_text(encoding="utf-8")
     # The index raises LookupError for an unknown package, OSError without AMENT_PREFIX_PATH.
-    except (LookupError, ValueError, OSError) as error:
+    except (ImportError, LookupError, ValueError, OSError) as error:
         raise FlockError(
             f"message type {type_name} is not installed (no {package}/msg/{name}{suffix} in"
             " AMENT_PREFIX_PATH): start through ./flock, or source install/setup.bash first"

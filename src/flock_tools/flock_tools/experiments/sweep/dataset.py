@@ -13,8 +13,10 @@ import numpy as np
 import xarray as xr
 
 import flock_sim
-from flock_sim.analysis.metrics import STABLE_BELOW, Metrics, measure
+from flock_sim.analysis.metrics import STABLE_BELOW, Metrics, mean_over_birds, measure
+from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.analysis.verdict import WORDS, Verdicts
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.run import Run
@@ -55,20 +57,16 @@ ATTRIBUTES = {
 """Long name and unit of every variable, and of each coordinate that is not an axis."""
 
 
-def dataset(
-    sweep: Sweep, flights: Sequence[Flight], bags: Sequence[Path], command: str
-) -> xr.Dataset:
-    """Return the results of all members, read from the bags of all flights.
+Values = dict[str, np.ndarray]
+"""Results by name: arrays whose first dimension is the member."""
+
+
+def dataset(sweep: Sweep, values: Values, command: str) -> xr.Dataset:
+    """Return the results of all members, `values`, in the order of the sweep.
 
     The dimensions are the axes, plus `bird` or `gap` for variables with one value for each. The
     attributes are the sweep, the `command`, and versions.
     """
-    values: dict[str, np.ndarray] = {}
-    for flight, bag in zip(flights, bags, strict=True):
-        members = list(flight.members)
-        for name, part in _values(flight, bag).items():
-            shape = (sweep.size, *part.shape[1:])
-            values.setdefault(name, np.empty(shape, part.dtype))[members] = part
     found = labelled(values, sweep.flock.birds, coordinates(sweep))
     found.attrs = _attributes(sweep, command)
     found["verdict"].attrs |= {
@@ -130,14 +128,26 @@ def netcdf(found: xr.Dataset) -> bytes:
     return bytes(found.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
 
-def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
-    """Return the results of a flight: arrays whose first dimension is the member."""
-    with Run(bag) as run:
-        end, verdicts = run.at(), run.verdicts()
-        means = run.time_means(end.time)
-    configuration = flight.configuration
-    if end.step != configuration.steps:
-        raise FlockError(f"{bag}: ends at step {end.step} of {configuration.steps}; fly it again")
+def recorded(sweep: Sweep, flights: Sequence[Flight], bags: Sequence[Path]) -> Values:
+    """Return the results of all members, read from the bags of all flights."""
+    values: Values = {}
+    for flight, bag in zip(flights, bags, strict=True):
+        put(values, sweep.size, flight.members, _read(flight, bag))
+    return values
+
+
+def put(values: Values, size: int, members: Sequence[int], part: Values) -> None:
+    """Put the results of some members, indices from 0, into `values`, those of `size` members."""
+    for name, array in part.items():
+        if name not in values:
+            values[name] = np.zeros((size, *array.shape[1:]), array.dtype)
+        values[name][list(members)] = array
+
+
+def measured(
+    configuration: FlockConfiguration, end: FlockState, means: TimeMeans, verdicts: Verdicts
+) -> Values:
+    """Return the results of a flight that ended at `end`."""
     metrics = measure(configuration, end)
     return {
         **_told(metrics, end),
@@ -145,13 +155,31 @@ def _values(flight: Flight, bag: Path) -> dict[str, np.ndarray]:
         "time_mean_drag_reduction": means.time_mean_drag_reduction,
         "averaged_from": np.full(configuration.members, means.averaged_from),
         **_judged(verdicts),
-        "flight": np.full(configuration.members, flight.number, dtype=np.int32),
-        "member": np.arange(1, configuration.members + 1, dtype=np.int32),
     }
 
 
-def _told(metrics: Metrics, end: FlockState) -> dict[str, np.ndarray]:
-    values: dict[str, np.ndarray] = {
+def places(flight: int, first: int, members: int) -> Values:
+    """Return the places of members: the number of their flight, and those within it."""
+    return {
+        "flight": np.full(members, flight, dtype=np.int32),
+        "member": np.arange(first, first + members, dtype=np.int32),
+    }
+
+
+def _read(flight: Flight, bag: Path) -> Values:
+    """Return the results of a flight from its bag."""
+    with Run(bag) as run:
+        end, verdicts = run.at(), run.verdicts()
+        means = run.time_means(end.time)
+    configuration = flight.configuration
+    if end.step != configuration.steps:
+        raise FlockError(f"{bag}: ends at step {end.step} of {configuration.steps}; fly it again")
+    found = measured(configuration, end, means, verdicts)
+    return found | places(flight.number, 1, configuration.members)
+
+
+def _told(metrics: Metrics, end: FlockState) -> Values:
+    values: Values = {
         "mean_speed": metrics.mean_speed,
         "speed_std": metrics.speed_std,
         "holds": np.array(metrics.stable, dtype=np.int8),
@@ -162,12 +190,12 @@ def _told(metrics: Metrics, end: FlockState) -> dict[str, np.ndarray]:
         "speed": end.speed.T,
     }
     if metrics.birds > 1:
-        values["mean_spacing"] = np.abs(metrics.spacing).mean(axis=1)
+        values["mean_spacing"] = mean_over_birds(np.abs(metrics.spacing.T))
         values["spacing"] = metrics.spacing
     return values
 
 
-def _judged(verdicts: Verdicts) -> dict[str, np.ndarray]:
+def _judged(verdicts: Verdicts) -> Values:
     return {
         "verdict": np.array([WORDS.index(word) for word in verdicts.verdict], dtype=np.int8),
         "stalled_at": np.array(verdicts.stalled_at, dtype=np.float64),

@@ -4,6 +4,7 @@
 sweep.yaml         the sweep, and its division into flights: written first
 flight_01.yaml     the configuration of a flight, as `fly --config` takes it
 flight_01/         its bag
+sweep.npz          instead of bags: the results so far of a sweep that the reference flies
 sweep.nc sweep.png the result, written after all flights
 .replaced/         the sweep that this one replaces, until a flight of this one has begun
 """
@@ -27,13 +28,14 @@ from flock_sim.recording.run import Run
 from flock_tools.experiments.sweep.specification import Flight
 
 PLAN_FILE, DATA_FILE, PICTURE_FILE = "sweep.yaml", "sweep.nc", "sweep.png"
+RESULTS_FILE = "sweep.npz"
 PART = ".part"
 REPLACED = ".replaced"
 
 LOCK_PATIENCE = 20.0
 """Longest wait for a flight that a killed sweep left behind to end, in s."""
 
-_OURS = re.compile(r"sweep\.(yaml|nc|png)(\.part)?|flight_\d+(\.yaml)?")
+_OURS = re.compile(r"sweep\.(yaml|npz|nc|png)(\.part)?|flight_\d+(\.yaml)?")
 
 
 class SweepDirectory:
@@ -42,6 +44,7 @@ class SweepDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.data, self.picture = path / DATA_FILE, path / PICTURE_FILE
+        self.results = path / RESULTS_FILE
         self.lock = -1
         """File descriptor that holds the lock; a child that inherits it holds the lock, too."""
 
@@ -144,8 +147,9 @@ class SweepDirectory:
             if file.read_text(encoding="utf-8", errors="replace") == plan:
                 return
             raise FlockError(
-                f"output {self.path} holds another sweep, or one with other --members-at-once "
-                f"({PLAN_FILE} differs): add --force to replace it, or name another --output"
+                f"output {self.path} holds another sweep, or one with other --members-at-once or "
+                f"--reference ({PLAN_FILE} differs): add --force to replace it, or name another "
+                "--output"
             )
         elif names:
             raise FlockError(f"output {self.path} exists and holds no sweep: name another --output")
@@ -173,7 +177,8 @@ class SweepDirectory:
             return
         # The plan is moved aside last: before that, flights still in place are old ones.
         put_aside = (replaced / PLAN_FILE).exists()
-        if put_aside and any(map(_has_begun, self.path.glob("flight_*/"))):
+        begun = self.results.exists() or any(map(_has_begun, self.path.glob("flight_*/")))
+        if put_aside and begun:
             _empty(replaced)
         else:
             if put_aside:

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from datetime import timedelta
 
 from flock_sim.console.arguments import note
 from flock_sim.console.signals import end_with_parent
@@ -22,15 +24,17 @@ def fly_all(flights: Sequence[Flight], directory: SweepDirectory, how: Sequence[
 
     Raises RunFailed if a flight fails. The next call resumes that flight.
     """
-    flown = 0
-    for flight in flights:
-        if directory.complete(flight):
-            continue
-        flown += 1
+    rest = [flight for flight in flights if not directory.complete(flight)]
+    begun, steps = time.monotonic(), [flight.configuration.steps for flight in rest]
+    for k, flight in enumerate(rest):
         members = len(flight.members)
+        left = ""
+        if k and sys.stderr.isatty():
+            seconds = (time.monotonic() - begun) * sum(steps[k:]) / sum(steps[:k])
+            left = f", about {timedelta(seconds=round(seconds))} left"
         note(
             f"flight {flight.number} of {len(flights)}: {members} member{'s' * (members > 1)} of "
-            f"{flight.configuration.birds} birds, {flight.configuration.steps} steps"
+            f"{flight.configuration.birds} birds, {flight.configuration.steps} steps{left}"
         )
         bag = str(directory.bag(flight))
         if directory.begun(flight):
@@ -44,7 +48,7 @@ def fly_all(flights: Sequence[Flight], directory: SweepDirectory, how: Sequence[
                 f"flight {flight.number} of {len(flights)} ended with status {status}: the same "
                 "command resumes it"
             )
-    return flown
+    return len(rest)
 
 
 def _fly(arguments: Sequence[str], lock: int) -> int:

@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import yaml
 from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, nearest
+from flock_sim.messages.state import ARRAYS
+from flock_sim.recording.own_parts import own_laws, own_link_models
 from flock_tools.experiments.sweep.axes import Axis, Value, axis, in_order, text
 from flock_tools.experiments.sweep.members import (
     Member,
@@ -23,11 +26,10 @@ from flock_tools.experiments.sweep.members import (
     merged,
     record_every,
 )
+from flock_tools.experiments.sweep.size import LANES, MOST_MEMBERS, PART_NUMBERS
 
 CALLED = "sweep file"
 FLOCK, AXES = "flock", "axes"
-
-MOST_MEMBERS = 100_000
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,24 @@ class Flight:
     members: tuple[int, ...]
     """Indices in the sweep, from 0."""
     configuration: FlockConfiguration
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some members of a flight, as a flight of their own: members do not affect each other."""
+
+    flight: int
+    """Number of the flight, from 1."""
+    first: int
+    """Number of the first of these members in the flight, from 1."""
+    members: tuple[int, ...]
+    """Indices in the sweep, from 0."""
+    configuration: FlockConfiguration
+
+    @property
+    def member_steps(self) -> int:
+        """Number of steps of all members."""
+        return len(self.members) * self.configuration.steps
 
 
 @dataclass(frozen=True)
@@ -63,6 +83,10 @@ class Sweep:
 
     def members(self) -> list[Member]:
         """Return all members. Raises FlockError, which names the member, if one can't be flown."""
+        return self._members
+
+    @cached_property
+    def _members(self) -> list[Member]:
         base = Member.of(self.flock)
         return [self._member(base, values) for values in self._points()]
 
@@ -78,6 +102,28 @@ class Sweep:
             Flight(number, tuple(share), merged([members[m] for m in share]))
             for number, share in enumerate(shares, start=1)
         ]
+
+    def parts(self, at_once: int) -> list[Part]:
+        """Return the flights of at most `at_once` members, divided into parts that fly alone."""
+        members = self.members()
+        found = []
+        for flight in self.flights(at_once):
+            flown = flight.configuration
+            numbers = len(ARRAYS) * flown.birds * (flown.steps // flown.record_every + 1)
+            most = min(LANES, max(1, PART_NUMBERS // numbers))
+            for first in range(0, len(flight.members), most):
+                share = flight.members[first : first + most]
+                alone = merged([members[m] for m in share])
+                found.append(Part(flight.number, first + 1, share, alone))
+        return found
+
+    def plan(self, at_once: int, reference: bool = False) -> str:
+        """Return what determines the content of the directory of this sweep."""
+        how: dict[str, Any] = {"members_at_once": at_once}
+        if reference:  # there, no bag has the digests of the laws
+            own = [*own_laws(self.flock), *own_link_models(self.flock)]
+            how |= {"reference": True, "own_parts": [f"{part} {part.digest}" for part in own]}
+        return self.text() + yaml.safe_dump(how, sort_keys=False)
 
     def text(self) -> str:
         """Return the text of an equivalent file with axes as lists."""
