@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages import topics
 from flock_sim.messages.types import Grant, State, Time, Wing
 from flock_sim.physics.flock_state import FlockState

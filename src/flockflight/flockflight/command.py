@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `flockflight TOOL ...`: the tools that need no ROS 2, where Flock is a pip package."""
+"""The command `flockflight TOOL ...`: the tools that need no ROS 2, installed by pip."""
 
 from __future__ import annotations
 
@@ -66,8 +66,13 @@ def described() -> str:
     lines = [f"usage: {PROGRAM} TOOL [ARGUMENTS]"]
     for group, tools in GROUPS.items():
         lines += ["", group, *(f"  {name:12} {purpose}" for name, purpose in tools.items())]
-    lines += ["", f"{PROGRAM} TOOL --help describes a tool. Flights over ROS 2 need a clone of Flock"]
-    return "\n".join([*lines, "and its ./flock, which has more tools: " + ", ".join(WITH_ROS) + "."])
+    lines += [
+        "",
+        f"{PROGRAM} TOOL --help describes a tool. Flights over ROS 2 need a clone of Flock",
+    ]
+    return "\n".join(
+        [*lines, "and its ./flock, which has more tools: " + ", ".join(WITH_ROS) + "."]
+    )
 
 
 def _refuse(name: str, tools: list[str]) -> int:

@@ -12,8 +12,8 @@ import xarray as xr
 from flock_sim.analysis.verdict import WORDS
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.recording.output_directory import own_output
 from flock_sim.launcher.reference_flight import record_reference
+from flock_sim.recording.output_directory import own_output
 from flock_tools.experiments.sweep.by_reference import fly_by_reference
 from flock_tools.experiments.sweep.specification import Sweep
 from flockflight.recorded import load, without_single_member

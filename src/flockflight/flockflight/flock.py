@@ -13,8 +13,8 @@ import xarray as xr
 
 from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_tools.experiments.sweep import dataset as sweep_dataset
 from flock_tools.experiments.sweep import specification
+from flock_tools.experiments.sweep.dataset import coordinates
 from flockflight import flights, results
 from flockflight.values import Force, Link, Push, Spans, span_texts, texts
 
@@ -61,7 +61,9 @@ class Flock:
             if key in keys:
                 raise FlockError(f"{key} is called `{name}` here")
         if birds is None:
-            rows = None if spans is None or isinstance(spans, Mapping) else len(np.atleast_1d(spans))
+            rows = (
+                None if spans is None or isinstance(spans, Mapping) else len(np.atleast_1d(spans))
+            )
             birds = rows or BIRDS
         self.configuration = FlockConfiguration.given(
             {
@@ -71,8 +73,10 @@ class Flock:
                 "links": texts("links", links, Link),
                 "forcing": texts("forcing", forcing, Force),
                 "perturbations": texts("pushes", pushes, Push),
-                **{key: value.item() if isinstance(value, np.generic) else value
-                   for key, value in keys.items()},
+                **{
+                    key: value.item() if isinstance(value, np.generic) else value
+                    for key, value in keys.items()
+                },
             }
         )
         """The same as the keys of a configuration file."""
@@ -209,5 +213,5 @@ class Sweep:
         for flight in self.plan.flights(self.plan.size):
             results.check_undisturbed(flight.configuration, what)
             parts.append((flight.members, computation(flight.configuration)))
-        axes = sweep_dataset.coordinates(self.plan)
-        return results.dataset(parts, self.plan.flock.birds, axes, {"configuration": self.plan.text()})
+        about = {"configuration": self.plan.text()}
+        return results.dataset(parts, self.plan.flock.birds, coordinates(self.plan), about)

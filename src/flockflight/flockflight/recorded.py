@@ -34,9 +34,7 @@ def without_single_member(found: xr.Dataset) -> xr.Dataset:
     return found
 
 
-def compare(
-    first: str | Path, second: str | Path, tolerance: float | None = None
-) -> Comparison:
+def compare(first: str | Path, second: str | Path, tolerance: float | None = None) -> Comparison:
     """Compare two recorded flights bit for bit, or to within `tolerance`, as `compare` does."""
     from flock_sim.recording.run import Run
     from flock_tools.runs.comparison import compare as compare_runs

@@ -46,7 +46,10 @@ ATTRIBUTES = {
     "span_ratio": ("wing span over that of the standard bird", "1"),
     "speed_gain_peak": ("largest gain from the leader's speed to the bird's", "1"),
     "speed_gain_frequency": ("its angular frequency", "U_min/b"),
-    "neighbour_gain_peak": ("largest gain from the speed of the neighbour nearer to the leader", "1"),
+    "neighbour_gain_peak": (
+        "largest gain from the speed of the neighbour nearer to the leader",
+        "1",
+    ),
     "neighbour_gain_frequency": ("its angular frequency", "U_min/b"),
     "hinf_gaps": ("H-infinity norm from accelerations of all birds to all gaps", "b^2/U_min^2"),
     "hinf_gaps_frequency": ("its angular frequency", "U_min/b"),
@@ -131,7 +134,8 @@ def limits(
     low, high = BETWEEN[of] if between is None else map(float, between)
     if not 0.0 <= low < high < np.inf:
         raise FlockError(f"between = ({low:g}, {high:g}): must be 0 or more, and ascending")
-    chosen = modified_birds(configuration) if birds is None else np.atleast_1d(birds).tolist()
+    given = [birds] if isinstance(birds, int) else birds
+    chosen = modified_birds(configuration) if given is None else list(given)
     for bird in chosen:
         if bird not in range(1, configuration.birds + 1):
             raise FlockError(f"bird {bird} is not among 1..{configuration.birds}")
@@ -162,7 +166,7 @@ def arrangement(configuration: FlockConfiguration) -> xr.Dataset:
         "fastest that flies": found.fastest_flying,
         "firmest": found.firmest if found.firmest is not None else found.closest,
     }
-    known = {name: order for name, order in best.items() if order is not None}
+    known = {name: one for name, one in best.items() if one is not None}
     orders = list(known.values())
     values: Values = {
         "order": np.array([one.order for one in orders]),

@@ -15,10 +15,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError
+from flock_sim.launcher.reference_flight import row
 from flock_sim.links.keys import FAULTS
 from flock_sim.links.registry import MODELS
 from flock_sim.recording.flight_writer import recording

@@ -18,9 +18,9 @@ from rosbags.highlevel import AnyReader
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
+from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.messages import topics
 from flock_sim.messages.types import Grant, Stage
 from flock_sim.recording import flight_bag

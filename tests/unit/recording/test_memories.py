@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.launcher.reference_flight import row as row_of
 from flock_sim.messages import topics
 from flock_sim.messages.types import Memory
 from flock_sim.recording.flight_writer import recording

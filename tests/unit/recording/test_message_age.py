@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages.types import Ages
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.message_age import deviation, freshness

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.stage_layout import HEADER, stage_bytes, stage_words
 from flock_sim.messages.types import Memory, State, Time

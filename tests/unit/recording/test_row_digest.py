@@ -9,8 +9,8 @@ import pytest
 
 from flock_sim.analysis.state_digest import StateDigest
 from flock_sim.bag.reading.reader import BagReader
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages import topics
 from flock_sim.messages.types import State
 from flock_sim.physics.flock_state import FlockState

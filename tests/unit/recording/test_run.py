@@ -15,10 +15,10 @@ import pytest
 from flock_sim.analysis.flight_verdict import Flown
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
-from flock_sim.launcher.reference_flight import row
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
 from flock_sim.errors import FlockError
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.state import ARRAYS

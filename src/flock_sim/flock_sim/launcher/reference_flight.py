@@ -30,9 +30,7 @@ def record_reference(
     each recorded step.
     """
     seconds = 0.0
-    with recording(
-        directory, configuration, grants=False, live=bool(live), replace=replace
-    ) as run:
+    with recording(directory, configuration, grants=False, live=bool(live), replace=replace) as run:
         for number, perturbation in enumerate(live, start=1):
             run.write_perturbation(Push.of(0, number, perturbation))
         flight = Reference(configuration, live=live).fly()
