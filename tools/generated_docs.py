@@ -34,12 +34,12 @@ def tools_page() -> str:
         "The help of each tool, as `./flock TOOL --help` prints it. [README](../README.md#tools)",
         "lists their purposes, and the [tutorial](tutorial.md) shows their use.",
         "",
-        "| tool | |",
-        "|---|---|",
+        "| | tool | |",
+        "|---|---|---|",
     ]
-    tools = dict(_tools())
-    lines += [f"| [`{tool}`](#{tool}) | {words} |" for tool, words in tools.items()]
-    for tool in tools:
+    tools = list(_tools())
+    lines += [f"| {group} | [`{tool}`](#{tool}) | {words} |" for group, tool, words in tools]
+    for _, tool, _ in tools:
         lines += ["", f"## {tool}", "", "```text", _help(tool).rstrip(), "```"]
     return "\n".join(lines) + "\n"
 
@@ -68,13 +68,15 @@ def messages_page() -> str:
 PAGES = {"tools.md": tools_page, "messages.md": messages_page}
 
 
-def _tools() -> Iterator[tuple[str, str]]:
-    """Give every tool that the launcher lists, and what it says of it."""
-    table = re.search(r'tools="\\\n(.*?)"\n', (ROOT / "flock").read_text(encoding="utf-8"), re.S)
-    assert table is not None
-    for line in table[1].splitlines():
-        tool, _, words = line.partition(" ")
-        yield tool, words.strip()
+def _tools() -> Iterator[tuple[str, str, str]]:
+    """Give the group, the name and the purpose of every tool."""
+    group = ""
+    for line in (ROOT / "tools" / "list").read_text(encoding="utf-8").splitlines():
+        if not line.startswith(" "):
+            group = line
+            continue
+        tool, _, words = line.strip().partition(" ")
+        yield group, tool, words.strip()
 
 
 def _help(tool: str) -> str:

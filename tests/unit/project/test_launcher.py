@@ -3,6 +3,7 @@
 
 import importlib
 import re
+import subprocess
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,10 +27,36 @@ def test_every_executable_calls_the_function_that_is_its_main() -> None:
             assert find_spec(TOOLS[tool])
 
 
-def test_the_launcher_lists_all_executables() -> None:
-    table = re.search(r'tools="\\\n(.*?)"\n', (ROOT / "flock").read_text(encoding="utf-8"), re.S)
-    assert table is not None
-    assert {line.split()[0] for line in table[1].splitlines()} == TOOLS.keys()
+def flock(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run ./flock."""
+    command = [ROOT / "flock", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_launcher_lists_all_executables_in_groups() -> None:
+    lines = flock("--help").stdout.splitlines()
+    groups = {"Fly", "Inspect", "Predict", "Live", "Nodes"}
+    assert groups < set(lines)
+    begin, end = lines.index("Fly"), lines.index("", lines.index("Nodes"))
+    tools = [line.split()[0] for line in lines[begin:end] if line not in groups]
+    assert sorted(tools) == sorted(TOOLS)
+
+
+@pytest.mark.parametrize(
+    ("word", "tool"), [("refrence", "reference"), ("metric", "metrics"), ("Sweep", "sweep")]
+)
+def test_a_tool_that_is_not_there_is_corrected(word: str, tool: str) -> None:
+    done = flock(word)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(
+        f"error: there is no tool '{word}': did you mean '{tool}'? known are fly, reference, "
+    )
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_pattern_or_a_group_is_no_tool() -> None:
+    for word in ("*", "Fly", "fly "):
+        assert flock(word).returncode == 2
 
 
 def test_the_readme_names_all_executables() -> None:
