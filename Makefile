@@ -4,7 +4,7 @@
 
 WORKERS = $(shell nproc)
 
-.PHONY: setup demo test test-kilted other-machine torture lint docs bench figures clean help
+.PHONY: setup demo test test-kilted other-machine torture lint docs-packages docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
@@ -41,8 +41,10 @@ lint: setup  ## check style and types
 	@./flock python -m mypy
 	@./flock python -c "from importlinter.cli import lint_imports_command; lint_imports_command()" --no-cache
 
-docs: setup  ## generate docs/tools.md and docs/messages.md, and build the site in build/site
+docs-packages: setup
 	@./flock python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements/docs.txt
+
+docs: docs-packages  ## generate docs/tools.md and docs/messages.md, and build the site in build/site
 	@./flock python tools/generated_docs.py
 	@NO_MKDOCS_2_WARNING=true ./flock python -m mkdocs build --strict --site-dir build/site
 	@echo "The site is build/site: open build/site/index.html in a browser. The search on it needs a server:"

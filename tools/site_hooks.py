@@ -98,6 +98,12 @@ def on_page_content(content: str, page: Page, **_: Any) -> str:
     return INLINE.sub(_unbroken, content)
 
 
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the theme's search for screen readers."""
+    search = 'data-md-component="search" role="dialog"'
+    return output.replace(search, f'{search} aria-label="Search"')
+
+
 def on_post_build(config: MkDocsConfig) -> None:
     """Write the font of formulas, reduced to the characters that the pages contain."""
     site = Path(config.site_dir)
@@ -146,7 +152,7 @@ def _draw(source: str) -> str:
 
 def _equation(source: str) -> str:
     """Return an equation on lines of its own, which can be scrolled where it is too wide."""
-    return f'<div class="formula" tabindex="0">{_mathml(source, block=True)}</div>'
+    return f'<div class="formula">{_mathml(source, block=True)}</div>'
 
 
 def _unbroken(found: re.Match[str]) -> str:
