@@ -10,6 +10,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import islice
 from pathlib import Path
 
 import axe_playwright_python
@@ -20,6 +21,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.scaling import Scales
 from flock_sim.recording import flight_bag
+from flock_sim.reference.integrator import Reference
 from flock_tools.commands.report import tool
 from flock_tools.runs.dataset import load
 from support.flights import record
@@ -27,9 +29,14 @@ from support.flights import record
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 HOSTILE = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
-WIDE, NARROW = (1200, 900), (390, 844)
-LARGEST = 6_000_000
+WIDE, NARROW = (1280, 900), (390, 844)
+LARGEST = 3_000_000
+THIRTEEN = FlockConfiguration(t_max=300.0, record_every=1)
 PARTED = FlockConfiguration(birds=7, t_max=4000.0, record_every=1, span_ratios=("4=0.7",))
+CHARTS = (
+    *("speed", "spacing", "drag_reduction", "speed_std", "mean_drag_reduction"),
+    *("profile", "residual", "eigenvalues"),
+)
 PARTS = ("flight", "theory", "configuration", "provenance")
 
 pytestmark = pytest.mark.skipif(
@@ -59,8 +66,9 @@ def parted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pages(tmp_path_factory: pytest.TempPathFactory, parted: Path) -> dict[str, Path]:
     """Reports on one flight, on runs compared, on many members, on a long one, and on markup."""
     directory = tmp_path_factory.mktemp("reports")
-    flock = FlockConfiguration(t_max=300.0, record_every=1)
-    one = record(directory / "one", flock)
+    one = record(directory / "one", THIRTEEN)
+    start = record(directory / "start", THIRTEEN, states=islice(Reference(THIRTEEN).fly(), 1))
+    alone = record(directory / "alone", FlockConfiguration(birds=1, t_max=20.0))
     all_to_all = record(directory / "all", FlockConfiguration(t_max=200.0, coupling="all"))
     many = record(
         directory / "members", FlockConfiguration(t_max=100.0, span_ratios=("4=0.9,1.0,1.1",))
@@ -74,6 +82,8 @@ def pages(tmp_path_factory: pytest.TempPathFactory, parted: Path) -> dict[str, P
         "compared": [one, all_to_all, many],
         "members": [many],
         "markup": [markup],
+        "start": [start],
+        "alone": [alone],
     }
     made = {name: directory / f"{name}.html" for name in runs}
     for name, paths in runs.items():
@@ -118,8 +128,15 @@ def picture(page: Page, name: str) -> str:
     return str(page.evaluate(f"document.getElementById('{name}').toDataURL()"))
 
 
+def open_table(page: Page, name: str) -> None:
+    """Open the table beside a picture."""
+    page.locator(f"#{name}-table").evaluate("table => { table.closest('details').open = true; }")
+    expect(page.locator(f"#{name}-table thead")).to_be_visible()
+
+
 def positions(page: Page) -> list[str]:
     """Return where the table beside the formation says that each bird is along the flight."""
+    open_table(page, "formation")
     cells = page.locator("#formation-table tbody td:nth-child(3)")
     return [text.strip() for text in cells.all_text_contents()]
 
@@ -128,7 +145,7 @@ def test_the_slider_moves_the_birds_and_the_cursor_of_the_curves(opened: Opener)
     page = opened("one")
     before, drawn = positions(page), picture(page, "formation")
     assert len(before) == 13
-    cursor = page.locator("#speed + .cursor")
+    cursor = page.locator("#speed ~ .cursor")
     end = cursor.bounding_box()
     page.locator("#time").fill("0")
     assert page.locator("#now").text_content() == "t = 0"
@@ -150,6 +167,7 @@ def test_the_slider_moves_the_birds_and_the_cursor_of_the_curves(opened: Opener)
 
 def cells(page: Page, table: str, row: int) -> list[str]:
     """Return the cells of a row, from 0, of the table beside a picture."""
+    open_table(page, table)
     texts = page.locator(f"#{table}-table tbody tr").nth(row).locator("td").all_text_contents()
     return [text.strip() for text in texts]
 
@@ -162,6 +180,7 @@ def test_tables_tell_of_the_time_that_is_shown_however_long_the_run(
     page.locator("#time").evaluate("slider => { slider.value = 30; }")
     for event in ("input", "change"):
         page.locator("#time").dispatch_event(event)
+    open_table(page, "speed")
     head = page.locator("#speed-table thead th").all_text_contents()
     time = float(head[2].removeprefix("at t = "))
     at, start = (bag.sel(time=t, method="nearest").isel(member=0) for t in (time, 0.0))
@@ -203,7 +222,7 @@ def test_the_flight_is_played_to_its_end(opened: Opener) -> None:
 
 def test_a_click_in_a_curve_goes_to_its_time(opened: Opener) -> None:
     page = opened("one")
-    page.locator("#speed").click(position={"x": 61, "y": 60})
+    page.locator("#speed").click(position={"x": 65, "y": 60})
     assert page.locator("#now").text_content() in ("t = 0", "t = 1")
 
 
@@ -227,16 +246,17 @@ def test_tabs_are_walked_by_keyboard_and_show_their_part(opened: Opener) -> None
     assert "stable" in str(page.locator(".cards").text_content())
     page.locator("#tab-theory").click()
     assert "b from the exact steady state" in str(page.locator("#profile-words").text_content())
+    open_table(page, "eigenvalues")
     assert page.locator("#eigenvalues-table tbody tr").count() == 25
 
 
 def test_everything_that_is_operated_is_reached_by_the_tab_key(opened: Opener) -> None:
     page = opened("compared")
     reached = set()
-    for _ in range(60):
+    for _ in range(80):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("document.activeElement.id || document.activeElement.className"))
-    assert {"pick", "run", "tab-flight", "play", "time"} <= reached
+    assert {"pick", "run", "bird", "from", "tab-flight", "play", "time", *CHARTS[:5]} <= reached
 
 
 def test_members_and_runs_are_browsed(opened: Opener) -> None:
@@ -257,23 +277,14 @@ def test_members_and_runs_are_browsed(opened: Opener) -> None:
     assert page.locator("#legend li").count() == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "scheme"),
-    [
-        ("one", WIDE, "light"),
-        ("one", NARROW, "dark"),
-        ("compared", WIDE, "dark"),
-        ("compared", NARROW, "light"),
-    ],
-)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [WIDE, NARROW])
+@pytest.mark.parametrize("name", ["one", "compared"])
 @pytest.mark.slow
-def test_axe_finds_nothing_amiss_and_nothing_is_wider_than_the_screen(
+def test_axe_finds_nothing_amiss(
     opened: Opener, name: str, size: tuple[int, int], scheme: str
 ) -> None:
     page = opened(name, size, scheme)
-    for part in PARTS:
-        page.locator(f"#tab-{part}").click()
-        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
     # All at once, as on paper: each look of axe at the page costs seconds.
     page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
     page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
@@ -285,6 +296,183 @@ def test_axe_finds_nothing_amiss_and_nothing_is_wider_than_the_screen(
         (each["id"], [at["html"] for at in each["nodes"]]) for each in found["violations"]
     ]
     assert violations == []
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW])
+@pytest.mark.parametrize("name", ["one", "compared", "members", "start", "markup"])
+def test_nothing_is_wider_than_the_screen_or_cropped(
+    opened: Opener, name: str, size: tuple[int, int]
+) -> None:
+    page = opened(name, size)
+    for part in PARTS:
+        page.locator(f"#tab-{part}").click()
+        assert page.evaluate("document.scrollingElement.scrollWidth <= innerWidth"), part
+        cropped = page.evaluate(
+            """[...document.querySelectorAll(".stack, .cards, .cards dd, .choice, .facts dd")]
+            .filter((each) => each.scrollWidth > each.clientWidth
+                || each.getBoundingClientRect().right > innerWidth)
+            .map((each) => each.outerHTML.slice(0, 200))"""
+        )
+        assert cropped == [], part
+
+
+def hover(page: Page, name: str, part: float, height: float = 0.5) -> list[str]:
+    """Point at a part of the width and height of a chart; return the lines of its tip."""
+    canvas = page.locator(f"#{name}")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    assert box
+    page.mouse.move(box["x"] + part * box["width"], box["y"] + height * box["height"])
+    tip = page.locator(f"#{name} ~ .tip")
+    return tip.locator("b, span").all_text_contents() if tip.is_visible() else []
+
+
+def number(text: str) -> float:
+    """Return a number that the page shows: 1.2 × 10⁻⁵ or −0.5."""
+    factor, _, power = text.replace("−", "-").strip().partition(" × 10")
+    superscripts = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    return float(factor) * 10.0 ** int(power.translate(superscripts) or 0)
+
+
+@pytest.mark.parametrize(
+    ("chart", "unit", "factor"), [("speed", "Umin", 1.0), ("drag_reduction", "%", 100.0)]
+)
+def test_the_pointer_shows_the_values_of_the_bag(
+    opened: Opener, pages: dict[str, Path], chart: str, unit: str, factor: float
+) -> None:
+    page, bag = opened("one"), load(pages["one"].with_suffix(""))
+    title, *rows = hover(page, chart, 0.3)
+    at = bag.sel(time=float(title.removeprefix("t = "))).isel(member=0)
+    assert 50.0 < float(at.time) < 120.0  # of 300; the frame begins right of the numbers
+    values = (
+        at.speed if chart == "speed" else -at.interaction_drag / Scales.of(THIRTEEN).cruise_drag
+    )
+    assert rows[-1] == "and 6 more"
+    assert len(rows) == 8
+    for row in rows[:-1]:
+        name, _, text = row.partition(": ")
+        value = float(values.sel(bird=int(name.removeprefix("bird "))))
+        assert text.endswith(f" {unit}")
+        assert number(text.removesuffix(unit)) == pytest.approx(factor * value, rel=2e-6)
+
+
+def test_the_pointer_shows_least_and_largest_of_rows_that_are_drawn_together(
+    opened: Opener, parted: Path
+) -> None:
+    page, bag = opened("long"), load(parted)
+    title, *rows = hover(page, "speed", 0.12, 0.2)
+    first, last = (float(time) for time in title.removeprefix("t = ").split(" to "))
+    assert last > first
+    near = page.locator("#speed ~ .tip .near").text_content()
+    assert near in rows
+    name, _, text = str(near).partition(": ")
+    shown = [number(part) for part in text.removesuffix(" Umin").split(" to ")]
+    speeds = bag.speed.sel(time=slice(first, last), bird=int(name.removeprefix("bird ")))
+    assert shown[0] == pytest.approx(float(speeds.min()), rel=2e-6)
+    assert shown[-1] == pytest.approx(float(speeds.max()), rel=2e-6)
+
+
+def test_runs_are_read_together_until_each_ends(opened: Opener) -> None:
+    page = opened("compared")
+    names = [["one", "all", "members"], ["one", "all"], ["one"]]
+    for part, those in zip((0.3, 0.5, 0.85), names, strict=True):
+        for chart in ("speed_std", "mean_drag_reduction"):
+            rows = hover(page, chart, part)[1:]
+            assert sorted(row.partition(":")[0] for row in rows) == sorted(those)
+    page.locator("#bird").select_option("3")
+    rows = hover(page, "speed", 0.3)[1:]
+    assert sorted(row.partition(":")[0] for row in rows) == [
+        f"{run}, bird 3" for run in ("all", "members", "one")
+    ]
+
+
+def test_a_drag_zooms_all_charts_of_time_and_the_zoom_is_reset(opened: Opener) -> None:
+    page = opened("one")
+    field_from, field_to = page.locator("#from"), page.locator("#to")
+    whole = {name: picture(page, name) for name in CHARTS[:5]}
+    assert (field_from.input_value(), field_to.input_value()) == ("0", "300")
+    hover(page, "speed", 0.4)
+    page.mouse.down()
+    hover(page, "speed", 0.6)
+    page.mouse.up()
+    start, end = float(field_from.input_value()), float(field_to.input_value())
+    assert 80.0 < start < end < 200.0
+    assert all(picture(page, name) != whole[name] for name in whole)
+    for part in (0.2, 0.9):
+        assert start <= float(hover(page, "spacing", part)[0].removeprefix("t = ")) <= end
+    # A drag is not a click: the formation stays at the end.
+    assert page.locator("#now").text_content() == "t = 300"
+    page.locator("section:has(#spacing) .reset").click()
+    assert {name: picture(page, name) for name in whole} == whole
+    field_to.fill("100")
+    field_to.press("Enter")
+    assert picture(page, "speed") != whole["speed"]
+    page.locator("#speed").dblclick()
+    assert picture(page, "speed") == whole["speed"]
+    page.locator("#speed").press("+")
+    assert float(field_to.input_value()) - float(field_from.input_value()) == pytest.approx(150.0)
+    page.locator("#speed").press("Escape")
+    assert (field_from.input_value(), field_to.input_value()) == ("0", "300")
+
+
+def test_charts_of_theory_are_read_and_zoomed_by_keyboard(opened: Opener) -> None:
+    page = opened("one")
+    page.locator("#tab-theory").click()
+    for name, said in (("profile", "gap "), ("residual", "gap ")):
+        whole = picture(page, name)
+        page.locator(f"#{name}").focus()
+        page.keyboard.press("ArrowRight")
+        assert said in str(page.locator("#spoken").text_content())
+        assert page.locator(f"#{name} ~ .tip").is_visible()
+        page.keyboard.press("+")
+        assert picture(page, name) != whole
+        page.keyboard.press("Escape")
+        assert picture(page, name) == whole
+
+
+def test_the_legend_hides_curves(opened: Opener) -> None:
+    page = opened("one")
+    button = page.get_by_role("button", name="bird 3", exact=True)
+    page.locator("#bird").select_option("3")
+    assert [row.partition(":")[0] for row in hover(page, "speed", 0.5)[1:]] == ["bird 3"]
+    drawn = {name: picture(page, name) for name in ("speed", "spacing")}
+    button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    assert hover(page, "speed", 0.5) == []
+    for name in drawn:
+        assert picture(page, name) != drawn[name]
+        assert "legend" in page.locator(f"#{name} ~ .empty").inner_text()
+    button.click()
+    assert {name: picture(page, name) for name in drawn} == drawn
+    page = opened("compared")
+    page.locator("#legend button").nth(1).click()
+    assert [row.partition(":")[0] for row in hover(page, "mean_drag_reduction", 0.5)[1:]] == ["one"]
+
+
+def test_a_chart_without_curves_says_why(opened: Opener) -> None:
+    page = opened("start")
+    assert "only the start" in page.locator("#speed_std ~ .empty").inner_text()
+    assert page.locator("#speed ~ .empty").is_hidden()
+    assert hover(page, "speed", 0.13)[0] == "t = 0"
+    page = opened("alone")
+    assert page.locator("#spacing ~ .empty").inner_text() == "A single bird has no spacings."
+    assert "single bird" in page.locator("#speed_std ~ .empty").inner_text()
+    page = opened("long")  # no formation of these birds has a steady state
+    page.locator("#tab-theory").click()
+    for name in ("residual", "eigenvalues"):
+        assert "no steady state" in page.locator(f"#{name} ~ .empty").inner_text()
+
+
+def test_configurations_that_differ_come_first(opened: Opener) -> None:
+    page = opened("compared")
+    rows = page.locator("section[aria-labelledby=differences] tbody tr")
+    differing = ["coupling (differs)", "t_max (differs)", "record_every (differs)"]
+    differing.append("span_ratios (differs)")
+    assert rows.locator("th").all_text_contents() == differing
+    assert all(row.is_visible() for row in rows.all())
+    page.locator("#tab-configuration").click()
+    keys = page.locator("#configuration tbody th")
+    assert keys.all_text_contents()[:5] == [*differing, "birds"]
 
 
 def test_dark_mode_is_dark(opened: Opener) -> None:

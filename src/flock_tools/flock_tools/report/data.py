@@ -27,17 +27,20 @@ from flock_tools.report.decimation import bucket_width, ends, extremes, frame_ro
 from flock_tools.runs.assessment import Assessment
 from flock_tools.runs.dataset import read
 
-MOST_NUMBERS = 750_000
-"""Largest count of numbers in all histories of a report: 4 MB in the file."""
+MOST_NUMBERS = 500_000
+"""Largest count of numbers in all histories of a report: 2.7 MB in the file."""
 
-MOST_BUCKETS = 800
-"""Largest number of buckets of a curve: one for each pixel of its width on the page."""
+MOST_BUCKETS = 2000
+"""Largest number of buckets of a curve: several for each pixel, as a part can be enlarged."""
 
 FEWEST_BUCKETS = 40
 """Number of buckets below which fewer members are shown instead."""
 
 FRAMES = 0.4
-"""Number of frames of the formation per bucket of a curve."""
+"""Largest number of frames of the formation per bucket of a curve."""
+
+MOST_FRAMES = 320
+"""Largest number of frames of the formation: 16 s of motion."""
 
 SPREAD = 3
 """Index of sigma_U among the curves."""
@@ -185,7 +188,7 @@ def history(
     configuration = run.configuration
     rows = last // configuration.record_every + 1
     width = bucket_width(rows, buckets)
-    frames = frame_rows(rows, max(2, int(FRAMES * buckets)))
+    frames = frame_rows(rows, max(2, min(int(FRAMES * buckets), MOST_FRAMES)))
     times: list[FloatArray] = []
     curves: list[list[FloatArray]] = []
     moments: list[list[FloatArray]] = []

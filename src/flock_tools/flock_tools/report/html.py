@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a report: one self-contained HTML file that makes no network requests."""
+"""The page of a report: one self-contained HTML file that makes no network requests.
+
+Its charts are drawn by the scripts in `assets`, without a chart library. Bokeh 3.9, inlined, needed
+more than 2 s to open a page of 13 birds and 5 s for 101 birds, of 10 MB, and its charts can't be
+read by keyboard. uPlot is not a Python package, and has one list of times for all curves of a
+chart, while runs have different ones.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import platform
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,17 +25,25 @@ from markupsafe import Markup
 from flock_sim import __version__
 from flock_sim.analysis.metrics import STABLE_BELOW
 from flock_sim.configuration import parameter_file
-from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
 from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.own_parts import BIRD, LINK_MODEL, lacking, names
 from flock_tools.figures.bird_outline import OUTLINE
 from flock_tools.report.data import Reported
-from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, rows, verdict
+from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, labels, rows, verdict
 
 PAGE = Path(__file__).parent / "assets"
 
-SCRIPTS = ("chart.js", "pictures.js", "report.js")
+SCRIPTS = (
+    "numbers.js",
+    "chart.js",
+    "reading.js",
+    "curves.js",
+    "theory.js",
+    "formation.js",
+    "report.js",
+)
 """Scripts that draw the pictures, in the order of loading."""
 
 
@@ -41,6 +56,7 @@ def page(runs: Sequence[Reported]) -> bytes:
     """
     script = "\n" + "\n".join((PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    configuration = _configuration(runs)
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
     text = environment.get_template("report.html").render(
         title=_listed([run.name for run in runs]),
@@ -52,7 +68,9 @@ def page(runs: Sequence[Reported]) -> bytes:
         rows=rows(runs),
         remarks=_remarks(runs),
         names=[run.name for run in runs],
-        configuration=_configuration(runs),
+        labels=labels(runs),
+        differences=[row for row in configuration if row[2]],
+        configuration=configuration,
         files=[(run.name, parameter_file.text(run.configuration.parameters())) for run in runs],
         provenance=[{"name": run.name, "facts": _provenance(run)} for run in runs],
         decimation=" ".join(_decimation(run, len(runs) > 1) for run in runs),
@@ -64,7 +82,10 @@ def page(runs: Sequence[Reported]) -> bytes:
         data={
             "stable_below": STABLE_BELOW,
             "outline": OUTLINE.tolist(),
-            "runs": [_embedded(run) for run in runs],
+            "runs": [
+                {"label": label, **_embedded(run)}
+                for label, run in zip(labels(runs), runs, strict=True)
+            ],
         },
     )
     # A path may hold bytes that are not valid text.
@@ -123,20 +144,35 @@ def _embedded(run: Reported) -> dict[str, Any]:
     }
     return {
         "name": run.name,
+        "rows": history.rows,
+        "width": history.width,
         "birds": metrics.birds,
         "leader": metrics.leader,
         "members": members,
         "member_names": [f": {differs(run, m)}" if differs(run, m) else "" for m in range(members)],
         "t_final": metrics.t_final,
+        "no_theory": [_no_state(run, m) for m in range(members)],
+        "no_eigenvalues": [_no_eigenvalues(run, m) for m in range(members)],
         **{name: packed(values) for name, values in arrays.items()},
     }
 
 
-def _member(run: Reported, m: int) -> str:
-    """Return the spans in which a member differs from the others; empty if none."""
-    ratio = run.configuration.span_ratio
-    odd = np.flatnonzero(np.ptp(ratio, axis=1) > 0.0)
-    return ", ".join(f"lambda_{bird + 1} = {ratio[bird, m]:g}" for bird in odd[:3])
+def _no_state(run: Reported, m: int) -> str:
+    """Return why the steady state of a member is not known; empty if it is."""
+    assessment = run.theory.assessment
+    if assessment is None:
+        return run.theory.note
+    if not assessment.state.exists[m]:
+        return "These birds have no steady state: the flock comes apart."
+    return ""
+
+
+def _no_eigenvalues(run: Reported, m: int) -> str:
+    """Return why the eigenvalues of a member are not known; empty if they are."""
+    assessment = run.theory.assessment
+    if assessment is not None and assessment.eigenvalues is None:
+        return f"The flock of {run.metrics.birds} birds is too large to compute them."
+    return _no_state(run, m)
 
 
 def _remarks(runs: Sequence[Reported]) -> list[str]:
@@ -173,19 +209,28 @@ def _units(runs: Sequence[Reported]) -> dict[str, str]:
 
 
 def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]]:
-    """Return for each key: the key, the value of each run, and whether the values differ."""
+    """Return for each key: the key, the value of each run, and whether the values differ.
+
+    Keys whose values differ come first.
+    """
     parameters = [run.configuration.parameters() for run in runs]
-    table = []
-    for key in parameters[0]:
-        values = [_value(each[key]) for each in parameters]
-        table.append((key, values, len(set(values)) > 1))
-    return table
+    rows = {
+        key: [_value(each[key], KEYS[key].unit) for each in parameters] for key in parameters[0]
+    }
+    rows["mode"] = [f"free, at factor {run.factor:g}" if run.factor else "lockstep" for run in runs]
+    rows["own parts"] = [", ".join(map(str, run.own_parts)) or "none" for run in runs]
+    table = [(key, values, len(set(values)) > 1) for key, values in rows.items()]
+    return sorted(table, key=lambda entry: not entry[2])
 
 
-def _value(value: object) -> str:
+def _value(value: object, unit: str) -> str:
     if isinstance(value, list):
         return "; ".join(value) or "none"
-    return str(value)
+    text = str(value).removesuffix(".0")
+    if unit == "1":
+        return text
+    marked = re.sub(r"\^(\w)", r"<sup>\1</sup>", re.sub(r"_(\w+)", r"<sub>\1</sub>", unit))
+    return Markup("{} {}").format(text, Markup(marked))
 
 
 def _lacking(run: Reported) -> str:
@@ -201,7 +246,7 @@ def _provenance(run: Reported) -> list[tuple[str, str]]:
         ("repeat bit for bit", _repeat(run)),
         ("recorded on", "; then ".join(run.machines) or "not recorded"),
         ("digest of the states", run.state_digest or "not recorded"),
-        *[("file", f"{file}, {size} bytes") for file, size, _ in run.files],
+        *[("file", f"{file}, {size:,} bytes") for file, size, _ in run.files],
         *[("SHA-256", digest) for _, _, digest in run.files],
         ("perturbations in flight", "; ".join(run.pushes) or "none"),
         ("complete", run.missing or "yes"),

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,8 @@ ORDERED = {
     (False, False): "no",
 }
 """Texts for the wings, left and right, on which spacing falls to the leader."""
+
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 COLUMNS = tuple(
     Markup(name)
@@ -86,42 +90,77 @@ def verdict(run: Reported, named: bool) -> Verdict:
     return Verdict(run.name if named else "", holds, words, what)
 
 
+def labels(runs: Sequence[Reported]) -> list[str]:
+    """Return short names of the runs: without their directory if that is the same for all."""
+    names = [run.name for run in runs]
+    parents = {str(Path(name).parent) for name in names}
+    if len(parents) == 1:
+        names = [Path(name).name or name for name in names]
+    seen = [names[: k + 1].count(name) for k, name in enumerate(names)]
+    return [f"{name} ({k})" if names.count(name) > 1 else name for name, k in zip(names, seen)]
+
+
 def rows(runs: Sequence[Reported]) -> list[Row]:
     """Return the key numbers of every member of every run, as text, in the order of COLUMNS."""
     places = [(r, m) for r, run in enumerate(runs) for m in range(run.metrics.members)]
-    return [_row(r, runs[r], m) for r, m in places[:MOST_ROWS]]
+    short = labels(runs)
+    return [_row(r, runs[r], m, short[r]) for r, m in places[:MOST_ROWS]]
+
+
+def power(value: float, digits: int) -> str:
+    """Return a number with `digits` decimals and a power of ten, as 1.2 × 10⁻⁵.
+
+    Numbers that are easily read without a power of ten have none.
+    """
+    if not np.isfinite(value):
+        return "not finite"
+    if value == 0.0:
+        return "0"
+    if 0.01 <= abs(value) < 1000.0:
+        return fixed(value, max(0, digits - math.floor(math.log10(abs(value)))))
+    factor, exponent = f"{value:.{digits}e}".split("e")
+    times = (
+        "" if factor == "1" else f"{factor}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}".replace("-", "−")
+    )
+    return f"{times}10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """Return a number with `decimals` decimals, or with a power of ten if it is large."""
+    if np.isfinite(value) and abs(value) < 1e6:
+        return f"{value:.{decimals}f}".replace("-", "−")
+    return power(value, 2)
 
 
 def _over_time(means: TimeMeans, m: int) -> str:
     if not means.recorded:
         return "not recorded"
     saved = 100.0 * means.time_mean_drag_reduction[m]
-    return f"{saved:.2f} (t = {means.averaged_from:g} to {means.until:g})"
+    return f"{fixed(saved, 2)} (t = {means.averaged_from:g} to {means.until:g})"
 
 
-def _row(r: int, run: Reported, m: int) -> Row:
+def _row(r: int, run: Reported, m: int, name: str) -> Row:
     metrics, assessment = run.metrics, run.theory.assessment
     error = metrics.profile_error[m]
     ordered = ORDERED[metrics.falling_wings(m)] if metrics.leader > 2 else "-"
     off = _off(run, m)
     cells = [
-        f"{metrics.mean_speed[m]:.9f}",
-        f"{metrics.speed_std[m]:.3e}",
-        f"{100.0 * metrics.mean_drag_reduction[m]:.2f}",
+        fixed(metrics.mean_speed[m], 7),
+        power(metrics.speed_std[m], 2),
+        fixed(100.0 * metrics.mean_drag_reduction[m], 2),
         _over_time(run.means, m),
         ordered,
-        "-" if error is None else f"{error:.1e}",
-        "-" if np.isnan(off) else f"{off:.1e}",
+        "-" if error is None else power(error, 1),
+        "-" if np.isnan(off) else power(off, 1),
     ]
     if assessment is None or not assessment.state.exists[m]:
         cells += ["none" if assessment is not None else "not found", "-", "-"]
     else:
         cells += [
-            f"{assessment.state.speed[m]:.9f}",
-            f"{100.0 * assessment.state.drag_reduction[:, m].mean():.2f}",
+            fixed(assessment.state.speed[m], 7),
+            fixed(100.0 * assessment.state.drag_reduction[:, m].mean(), 2),
             _eigenvalue(assessment.leading_eigenvalue[m]),
         ]
-    name = run.name
     if metrics.members > 1:
         difference = differs(run, m)
         name = f"{name}, member {m + 1}" + (f": {difference}" if difference else "")
@@ -148,8 +187,8 @@ def _off(run: Reported, m: int) -> float:
 def _eigenvalue(value: complex) -> str:
     if np.isnan(value):
         return "not computed"
-    swing = f" ± {abs(value.imag):.4e} i" if value.imag else ""
-    return f"{value.real:.4e}{swing}"
+    swing = f" ± {power(abs(value.imag), 2)} i" if value.imag else ""
+    return f"{power(value.real, 2)}{swing}"
 
 
 def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
@@ -158,15 +197,15 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
     unit = Markup("{} <small>U<sub>min</sub></small>")
     speed = metrics.mean_speed[0] * run.configuration.min_drag_speed
     told: list[tuple[str, Markup, Markup | str]] = [
-        ("mean speed U*", unit.format(f"{metrics.mean_speed[0]:.6f}"), f"{speed:.3f} m/s"),
+        ("mean speed U*", unit.format(fixed(metrics.mean_speed[0], 6)), f"{fixed(speed, 3)} m/s"),
         (
             "spread of speeds σ",
-            unit.format(f"{metrics.speed_std[0]:.2e}"),
-            f"stable by the paper's criterion below {STABLE_BELOW:g}",
+            unit.format(power(metrics.speed_std[0], 2)),
+            f"stable by the paper's criterion below {power(STABLE_BELOW, 0)}",
         ),
         (
             "drag saved",
-            Markup("{} <small>%</small>").format(f"{100.0 * metrics.mean_drag_reduction[0]:.2f}"),
+            Markup("{} <small>%</small>").format(fixed(100.0 * metrics.mean_drag_reduction[0], 2)),
             "mean of the birds, relative to D₀",
         ),
     ]
@@ -176,13 +215,13 @@ def cards(run: Reported) -> list[tuple[str, Markup, Markup | str]]:
     leading = assessment.leading_eigenvalue[0]
     if metrics.birds > 1:
         order = hierarchy(metrics, 0) if metrics.leader > 2 else ""
-        off = Markup("{} <small>b</small>").format(f"{_off(run, 0):.1e}")
+        off = Markup("{} <small>b</small>").format(power(_off(run, 0), 1))
         told.append(("deviation from the exact steady state", off, order))
     error = metrics.profile_error[0]
     if error is not None:
-        told.append(("deviation from the linear law", Markup(f"{error:.1e}"), "of D/C = 1 − i/N"))
+        told.append(("deviation from the linear law", Markup(power(error, 1)), "of D/C = 1 − i/N"))
     if not np.isnan(leading):
-        rate = Markup("{} <small>U<sub>min</sub>/b</small>").format(f"{leading.real:.2e}")
+        rate = Markup("{} <small>U<sub>min</sub>/b</small>").format(power(leading.real, 2))
         firm = "stable" if assessment.stable[0] else "unstable"
         told.append(("leading eigenvalue", rate, f"real part; the steady state is {firm}"))
     return told

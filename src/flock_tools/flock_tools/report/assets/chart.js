@@ -1,118 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers, colours and charts of the report: plain JavaScript, no library.
-// All numbers are in the element with the id "data"; pictures.js and report.js follow in the same script.
-"use strict";
+// Charts: lines and marks in a frame with axes, zoomed along the horizontal axis. reading.js reads values from them.
 
-const data = JSON.parse(document.getElementById("data").textContent);
-const element = (id) => document.getElementById(id);
-const LEFT = 60, RIGHT = 24, TOP = 10, BOTTOM = 40; // px around a chart; the cursor's CSS knows them
-const RUNS = 6; // colours, in report.css
-const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]];
-const RAMP = [[59, 111, 212], [181, 70, 143], [230, 134, 42]]; // as in report.css; on light and dark
-const chosen = { run: 0, member: 0, frame: 0 };
-
-// Numbers ---------------------------------------------------------------------------------------------------
-
-const decoded = new Map();
-
-/** Return the values of `array`: base64 of little-endian 32-bit floats, decoded once. */
-function values(array) {
-  if (!decoded.has(array)) {
-    const text = atob(array.values);
-    const view = new DataView(new ArrayBuffer(text.length));
-    for (let k = 0; k < text.length; k++) view.setUint8(k, text.charCodeAt(k));
-    const numbers = new Float32Array(text.length / 4);
-    for (let k = 0; k < numbers.length; k++) numbers[k] = view.getFloat32(4 * k, true);
-    decoded.set(array, numbers);
-  }
-  return decoded.get(array);
-}
-
-/** Return one series (a bird, a gap) of a member, of an array of shape [members, series, points]. */
-function series(array, member, which) {
-  const [, count, points] = array.shape;
-  const first = (member * count + which) * points;
-  return values(array).subarray(first, first + points);
-}
-
-/** Return all numbers of a member, of an array of shape [members, count]. */
-function row(array, member) {
-  return values(array).subarray(member * array.shape[1], (member + 1) * array.shape[1]);
-}
-
-/** Return the member of `run` that is looked at: the one chosen, or the first where it has fewer. */
-const memberOf = (run) => (chosen.member < run.members ? chosen.member : 0);
-const run = () => data.runs[chosen.run];
-const range = (count) => Array.from({ length: count }, (_, k) => k);
-
-function told(value, digits = 6) {
-  if (!Number.isFinite(value)) return "none";
-  return value === 0 ? "0" : String(Number(value.toPrecision(digits)));
-}
-
-/** Return least and largest of what is finite in `list`; infinities of nothing. */
-function bounds(list) {
-  let low = Infinity, high = -Infinity;
-  for (const value of list) {
-    if (!Number.isFinite(value)) continue;
-    if (value < low) low = value;
-    if (value > high) high = value;
-  }
-  return [low, high];
-}
-
-/** Return the bounds of all `lists`, with some room; [0, 1] of nothing. `log`: of what is above 0. */
-function extent(lists, log = false) {
-  const each = lists.map((list) => bounds(log ? list.map((value) => (value > 0 ? value : NaN)) : list));
-  const low = Math.min(...each.map((pair) => pair[0])), high = Math.max(...each.map((pair) => pair[1]));
-  if (!(low <= high)) return log ? [0.1, 1] : [0, 1];
-  if (log) return [low / 1.5, high * 1.5];
-  const room = 0.05 * (high - low) || 0.05 * Math.abs(high) || 0.5;
-  return [low - room, high + room];
-}
-
-/** Return round values between `low` and `high`, some `most` of them. */
-function ticks(low, high, most, log) {
-  if (log) {
-    const first = Math.ceil(Math.log10(low)), last = Math.floor(Math.log10(high));
-    const step = Math.max(1, Math.ceil((last - first + 1) / most));
-    if (last - first < 2) {
-      return range(last - first + 3).flatMap((k) => [1, 2, 5].map((factor) => factor * 10 ** (first - 1 + k)))
-        .filter((value) => low <= value && value <= high);
-    }
-    return range(Math.max(0, Math.floor((last - first) / step) + 1)).map((k) => 10 ** (first + k * step));
-  }
-  const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= raw * 0.999);
-  const first = Math.ceil(low / step);
-  return range(Math.max(0, Math.floor(high / step) - first + 1)).map((k) => (first + k) * step);
-}
-
-// Colours ---------------------------------------------------------------------------------------------------
-
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
-function ramp(part) {
-  const place = Math.min(Math.max(Number.isFinite(part) ? part : 0, 0), 1) * (RAMP.length - 1);
-  const k = Math.min(Math.floor(place), RAMP.length - 2);
-  return `rgb(${RAMP[k].map((from, c) => Math.round(from + (place - k) * (RAMP[k + 1][c] - from))).join(",")})`;
-}
-
-/** Return how the line of bird or gap `k` (from 0, of `count`) is drawn: colour by distance from the tail. */
-function wingStyle(k, count) {
-  const head = run().leader - 1;
-  const fromTail = k <= head - (count < run().birds ? 1 : 0) ? k : count - 1 - k;
-  return { colour: ramp(fromTail / Math.max(1, head)), dash: fromTail === k ? [] : [4, 4] };
-}
-
-const runStyle = (r) => ({ colour: css(`--run-${r % RUNS}`), dash: DASHES[r % DASHES.length] });
-
-// Charts ----------------------------------------------------------------------------------------------------
+const LEFT = 64, RIGHT = 20, TOP = 10, BOTTOM = 22; // px around a chart; the CSS of .cursor knows TOP and BOTTOM
+const LAW = 4; // the mark of the linear law
+const charts = {}; // by id: what `chart` was given, and `scales`
+const zooms = { time: null, gap: null, real: null }; // by axis: [from, to], or null for all
+const hidden = new Set(); // names of what the legends hide
 
 /** Return the 2D context of a canvas, cleared, in CSS pixels, and its size. */
-function canvasOf(id) {
-  const canvas = element(id), scale = window.devicePixelRatio || 1;
-  const width = canvas.clientWidth, height = canvas.clientHeight;
+function canvasOf(canvas) {
+  const scale = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = Math.round(width * scale);
   canvas.height = Math.round(height * scale);
   const context = canvas.getContext("2d");
@@ -123,53 +20,126 @@ function canvasOf(id) {
   return { context, width, height };
 }
 
-/**
- * Draw lines, or marks, in a frame with axes. A line is {x, y, colour, dash, mark}; `rules` are dotted lines at
- * a value of x or y; `what` says below what is across; `whole`: that is whole numbers.
- * `wide`, `tall`: what the frame is to show, where not all.
- */
-function chart(id, { lines, log = false, what, wide = null, tall = null, whole = false, rules = [] }) {
-  const { context, width, height } = canvasOf(id);
-  const [left, right] = wide || extent(lines.map((line) => line.x).concat(rules.map((rule) => [rule.x])));
-  const [low, high] = tall || extent(lines.map((line) => line.y).concat(rules.map((rule) => [rule.y])), log);
-  const scaled = log ? Math.log10 : (value) => value;
-  const across = (x) => LEFT + ((x - left) / (right - left || 1)) * (width - LEFT - RIGHT);
-  const up = (y) => height - BOTTOM - ((scaled(y) - scaled(low)) / (scaled(high) - scaled(low))) * (height - TOP - BOTTOM);
+/** Return the child of a chart's frame with a class: its overlay, tip, cursor or sentence. */
+const partOf = (id, name) => element(id).parentElement.querySelector(`.${name}`);
 
-  context.strokeStyle = css("--line");
-  context.fillStyle = css("--quiet");
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  for (const y of ticks(low, high, 6, log)) {
-    stroke(context, [LEFT, width - RIGHT], [up(y), up(y)]);
-    context.fillText(told(y, 4), LEFT - 6, up(y));
+/**
+ * Draw a chart. `lines` are {x, y, colour, dash, mark, name, item, step, aside}: `item` is what the legend calls the
+ * line; `step` is the number of points per bucket, as in reading.js; `aside`: the vertical axis does not make room for it.
+ * `axis` is a key of `zooms`; `wide` its whole range, where the lines do not tell; `whole`: it has whole numbers only.
+ * `rules` are dotted lines at a value of x or y; `unit` that of y; `log`: y is logarithmic; `empty`: a sentence that
+ * says why there may be no values.
+ */
+function chart(id, spec) {
+  charts[id] = { rules: [], ...spec, id };
+  draw(charts[id]);
+}
+
+const visible = (drawn) => drawn.lines.filter((line) => !hidden.has(line.item));
+
+/** Return the whole range of the horizontal axis of a chart. */
+function wholeRange(drawn) {
+  if (drawn.wide) return drawn.wide;
+  const each = drawn.lines.map((line) => line.x).concat(drawn.rules.map((rule) => [rule.x])).map((list) => bounds(list));
+  return roomy(Math.min(...each.map((pair) => pair[0])), Math.max(...each.map((pair) => pair[1])));
+}
+
+/** Return [first, end) of the points of a line with ascending x that a range needs: one more on each side. */
+function pointsIn({ x, mark }, [from, to]) {
+  if (mark !== undefined || x.length < 3) return [0, x.length];
+  const first = nearest(x, from), last = nearest(x, to);
+  return [Math.max(0, first - 2), Math.min(x.length, last + 3)];
+}
+
+/** Return the range of the vertical axis for the points of `lines` between `from` and `to`. */
+function tallRange(drawn, lines, [from, to], zoomed) {
+  let low = Infinity, high = -Infinity;
+  const reach = (list, first, end) => {
+    const [least, most] = bounds(list, drawn.log, first, end);
+    low = Math.min(low, least);
+    high = Math.max(high, most);
+  };
+  for (const line of lines.some((each) => !each.aside) ? lines.filter((each) => !each.aside) : lines) {
+    if (line.mark === undefined) reach(line.y, ...pointsIn(line, [from, to]));
+    else line.y.forEach((_, k) => line.x[k] >= from && line.x[k] <= to && reach(line.y, k, k + 1));
   }
-  context.textAlign = "center";
-  for (const x of ticks(left, right, width < 500 ? 4 : 8, false).filter((x) => !whole || Number.isInteger(x))) {
-    context.fillText(told(x, 4), across(x), height - BOTTOM + 14);
-  }
-  context.fillText(what, (LEFT + width - RIGHT) / 2, height - 8);
-  context.strokeStyle = css("--control");
-  stroke(context, [LEFT, LEFT, width - RIGHT], [TOP, height - BOTTOM, height - BOTTOM]);
+  if (!zoomed) for (const rule of drawn.rules) reach([rule.y]);
+  return roomy(low, high, drawn.log);
+}
+
+function draw(drawn) {
+  const { context, width, height } = canvasOf(element(drawn.id));
+  if (!width) return; // its tab is closed
+  const lines = visible(drawn), zoom = zooms[drawn.axis], wide = zoom || wholeRange(drawn);
+  const [low, high] = tallRange(drawn, lines, wide, zoom !== null);
+  const scaled = drawn.log ? Math.log10 : (value) => value, floor = scaled(low), tall = scaled(high) - floor;
+  const across = (x) => LEFT + ((x - wide[0]) / (wide[1] - wide[0] || 1)) * (width - LEFT - RIGHT);
+  const up = (y) => height - BOTTOM - ((scaled(y) - floor) / tall) * (height - TOP - BOTTOM);
+  const back = (px) => wide[0] + ((px - LEFT) / (width - LEFT - RIGHT)) * (wide[1] - wide[0]);
+  drawn.scales = { across, up, back, wide, width, height };
+  drawAxes(context, drawn, [low, high]);
   context.save();
   context.beginPath();
-  context.rect(LEFT, TOP - 4, width - LEFT - RIGHT + 4, height - TOP - BOTTOM + 8);
+  context.rect(LEFT - 5, TOP - 5, width - LEFT - RIGHT + 10, height - TOP - BOTTOM + 10);
   context.clip();
-  for (const line of lines) {
-    context.strokeStyle = context.fillStyle = line.colour;
-    context.lineWidth = 1.4;
-    context.setLineDash(line.dash || []);
-    const places = range(line.y.length).filter((k) => !log || !(line.y[k] <= 0));
-    if (line.mark === undefined) stroke(context, places.map((k) => across(line.x[k])), places.map((k) => up(line.y[k])));
-    else for (const k of places) mark(context, line.mark, across(line.x[k]), up(line.y[k]));
-  }
+  let points = 0;
+  for (const line of lines) points += drawLine(context, drawn, line);
   context.strokeStyle = css("--quiet");
   context.setLineDash([2, 3]);
-  for (const { x, y } of rules) {
+  context.lineWidth = 1.4;
+  for (const { x, y } of drawn.rules) {
     if (x !== undefined) stroke(context, [across(x), across(x)], [TOP, height - BOTTOM]);
     if (y !== undefined) stroke(context, [LEFT, width - RIGHT], [up(y), up(y)]);
   }
   context.restore();
+  tellEmpty(drawn, points, lines.length);
+  clearReading(drawn);
+}
+
+function drawAxes(context, { scales: { across, up, wide, width, height }, log, whole }, [low, high]) {
+  context.strokeStyle = css("--line");
+  context.fillStyle = css("--quiet");
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  const heights = ticks(low, high, 6, log);
+  for (const y of heights) {
+    stroke(context, [LEFT, width - RIGHT], [up(y), up(y)]);
+    context.fillText(tickText(y, heights, log), LEFT - 6, up(y));
+  }
+  context.textAlign = "center";
+  const places = ticks(wide[0], wide[1], width < 500 ? 4 : 8, false).filter((x) => !whole || Number.isInteger(x));
+  for (const x of places) context.fillText(tickText(x, places), across(x), height - BOTTOM + 14);
+  context.strokeStyle = css("--control");
+  stroke(context, [LEFT, LEFT, width - RIGHT], [TOP, height - BOTTOM, height - BOTTOM]);
+}
+
+/** Draw a line, or its marks; return the number of its points that are in the frame. */
+function drawLine(context, { scales: { across, up, wide }, log }, line, thick = line.thick || 1.4) {
+  const [first, end] = pointsIn(line, wide);
+  let inside = 0;
+  const xs = [], ys = [];
+  for (let k = first; k < end; k++) {
+    const y = log && !(line.y[k] > 0) ? NaN : line.y[k];
+    xs.push(across(line.x[k]));
+    ys.push(up(y));
+    inside += Number.isFinite(y) && line.x[k] >= wide[0] && line.x[k] <= wide[1];
+  }
+  context.strokeStyle = line.colour;
+  context.lineWidth = thick;
+  context.setLineDash(line.dash || []);
+  if (line.mark === undefined) stroke(context, xs, ys);
+  if (line.mark !== undefined || end - first === 1) xs.forEach((x, k) => mark(context, line.mark || 0, x, ys[k]));
+  return inside || (end - first > 1 && line.mark === undefined && Number(ys.some(Number.isFinite)));
+}
+
+/** Show a sentence in an empty chart that says why it is empty. */
+function tellEmpty(drawn, points, lines) {
+  const sentence = partOf(drawn.id, "empty");
+  sentence.hidden = points > 0;
+  if (points) return;
+  if (!lines && drawn.lines.length) sentence.textContent = "The legend hides all curves: choose one there.";
+  else if (zooms[drawn.axis]) sentence.textContent = "There are no values in this part of the axis: reset the zoom.";
+  else sentence.textContent = drawn.empty;
 }
 
 /** Draw a line through points in pixels; what is not finite is left open. */
@@ -185,38 +155,62 @@ function stroke(context, xs, ys) {
   context.stroke();
 }
 
-/** Draw the mark of run `shape`: a circle, a square, a cross or a triangle. */
+/** Draw a mark: a circle, a square, a cross or a triangle for the runs, a plus sign for the linear law. */
 function mark(context, shape, x, y) {
   if (!Number.isFinite(x) || !Number.isFinite(y)) return;
   context.setLineDash([]);
   context.beginPath();
-  if (shape % 4 === 0) context.arc(x, y, 3.5, 0, 2 * Math.PI);
-  if (shape % 4 === 1) context.rect(x - 3.5, y - 3.5, 7, 7);
-  const moves = { 2: [[-4, -4], [4, 4], null, [-4, 4], [4, -4]], 3: [[0, -4.5], [4, 3.5], [-4, 3.5], [0, -4.5]] };
+  if (shape === 0) context.arc(x, y, 3.5, 0, 2 * Math.PI);
+  if (shape === 1) context.rect(x - 3.5, y - 3.5, 7, 7);
+  const moves = {
+    2: [[-4, -4], [4, 4], null, [-4, 4], [4, -4]],
+    3: [[0, -4.5], [4, 3.5], [-4, 3.5], [0, -4.5]],
+    [LAW]: [[-5, 0], [5, 0], null, [0, -5], [0, 5]],
+  };
   let down = false;
-  for (const move of moves[shape % 4] || []) {
+  for (const move of moves[shape] || []) {
     if (move) context[down ? "lineTo" : "moveTo"](x + move[0], y + move[1]);
     down = move !== null;
   }
   context.stroke();
 }
 
-/** Put rows of cells into the table beside a picture, with text in them and never markup. */
-function table(id, head, rows) {
-  const cells = (list, kinds) => {
-    const line = document.createElement("tr");
-    list.forEach((text, k) => {
-      const [kind, scope] = kinds(k);
-      const cell = line.appendChild(document.createElement(kind));
-      cell.textContent = text;
-      if (scope) cell.scope = scope;
-    });
-    return line;
+/** Show `wide` of an axis in all charts that have it, or all of it if `wide` is null. */
+function zoom(axis, wide) {
+  const those = Object.values(charts).filter((drawn) => drawn.axis === axis);
+  if (wide) {
+    const [first, last] = wholeRange(those[0]), least = Math.max(1e-6 * (last - first), 1e-12);
+    const from = Math.max(first, Math.min(...wide)), to = Math.min(last, Math.max(...wide));
+    if (to - from < least) return;
+    wide = from === first && to === last ? null : [from, to];
+  }
+  zooms[axis] = wide;
+  those.forEach(draw);
+  zoomed(axis);
+}
+
+/** Fill a table that stands beside a picture, if it is open: `rows` gives its head and its rows. */
+function table(id, rows) {
+  const place = element(`${id}-table`), details = place.closest("details");
+  details.ontoggle = () => {
+    if (!details.open) return;
+    const [head, ...body] = rows();
+    const line = (list, kinds) => {
+      const made = document.createElement("tr");
+      list.forEach((text, k) => {
+        const [kind, scope] = kinds(k);
+        const cell = made.appendChild(document.createElement(kind));
+        cell.textContent = text;
+        if (scope) cell.scope = scope;
+      });
+      return made;
+    };
+    const top = document.createElement("thead"), rest = document.createElement("tbody");
+    top.append(line(head, () => ["th", "col"]));
+    rest.append(...body.map((list) => line(list, (k) => (k === 0 ? ["th", "row"] : ["td"]))));
+    place.replaceChildren(top, rest);
   };
-  const top = document.createElement("thead"), body = document.createElement("tbody");
-  top.append(cells(head, () => ["th", "col"]));
-  body.append(...rows.map((list) => cells(list, (k) => (k === 0 ? ["th", "row"] : ["td"]))));
-  element(`${id}-table`).replaceChildren(top, body);
+  details.ontoggle();
 }
 
 const say = (id, words) => element(id).setAttribute("aria-label", words);
