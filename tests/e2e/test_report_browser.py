@@ -222,7 +222,7 @@ def test_the_flight_is_played_to_its_end(opened: Opener) -> None:
 
 def test_a_click_in_a_curve_goes_to_its_time(opened: Opener) -> None:
     page = opened("one")
-    page.locator("#speed").click(position={"x": 65, "y": 60})
+    page.locator("#speed").click(position={"x": 73, "y": 60})
     assert page.locator("#now").text_content() in ("t = 0", "t = 1")
 
 
@@ -379,11 +379,16 @@ def test_runs_are_read_together_until_each_ends(opened: Opener) -> None:
         for chart in ("speed_std", "mean_drag_reduction"):
             rows = hover(page, chart, part)[1:]
             assert sorted(row.partition(":")[0] for row in rows) == sorted(those)
+    # The same bird in each run, whichever is the nearest.
+    *rows, rest = hover(page, "speed", 0.3)[1:]
+    assert rest == "and 36 more"
+    bird = rows[0].partition(":")[0].partition(", ")[2]
+    those = [f"{run}, {bird}" for run in ("all", "members", "one")]
+    assert sorted(row.partition(":")[0] for row in rows) == those
     page.locator("#bird").select_option("3")
     rows = hover(page, "speed", 0.3)[1:]
-    assert sorted(row.partition(":")[0] for row in rows) == [
-        f"{run}, bird 3" for run in ("all", "members", "one")
-    ]
+    those = [f"{run}, bird 3" for run in ("all", "members", "one")]
+    assert sorted(row.partition(":")[0] for row in rows) == those
 
 
 def test_a_drag_zooms_all_charts_of_time_and_the_zoom_is_reset(opened: Opener) -> None:
@@ -453,7 +458,7 @@ def test_a_chart_without_curves_says_why(opened: Opener) -> None:
     page = opened("start")
     assert "only the start" in page.locator("#speed_std ~ .empty").inner_text()
     assert page.locator("#speed ~ .empty").is_hidden()
-    assert hover(page, "speed", 0.13)[0] == "t = 0"
+    assert hover(page, "speed", 0.14)[0] == "t = 0"
     page = opened("alone")
     assert page.locator("#spacing ~ .empty").inner_text() == "A single bird has no spacings."
     assert "single bird" in page.locator("#speed_std ~ .empty").inner_text()

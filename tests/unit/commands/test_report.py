@@ -31,6 +31,7 @@ from flock_sim.recording import flight_bag, flight_writer
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.machine import this_machine
 from flock_sim.recording.output_directory import remove_bag
+from flock_sim.recording.own_parts import LAW, OwnPart
 from flock_sim.recording.run import Run
 from flock_tools.commands.report import tool
 from flock_tools.report import data as report_data
@@ -336,10 +337,27 @@ def test_runs_are_compared_and_what_differs_is_marked(flight: Path, tmp_path: Pa
     assert [run["name"] for run in page.data["runs"]] == [str(flight), str(other)]
     assert "coupling (differs)" in page.text
     assert "birds (differs)" not in page.text
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    keys = re.findall(r'<th scope="row">([a-z_]+(?: \(differs\))?)</th>', text)
+    differing = ["coupling (differs)", "t_max (differs)"]
+    assert keys[:5] == [*differing, *differing, "birds"]  # beside the numbers, and of all keys
     for path in (flight, other):
         assert f"{path.name}, member 3" in page.text
         (file,) = path.glob("*.mcap")
         assert hashlib.sha256(file.read_bytes()).hexdigest() in page.text
+
+
+def test_laws_of_one_name_and_different_sources_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown = FlockConfiguration(birds=3, t_max=20.0)
+    paths = [record(tmp_path / name, flown) for name in ("first", "second")]
+    digests = {"first": "sha256:" + 32 * "1a", "second": "sha256:" + 32 * "2b"}
+    parts = property(lambda run: [OwnPart(LAW, "l.py:l", digests[run.path.name])])
+    monkeypatch.setattr(Run, "own_parts", parts)
+    page = reported(*paths, output=tmp_path / "a.html")
+    assert "own parts (differs)" in page.text
+    assert "law l.py:l (1a1a1a1a1a1a)" in page.text
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
 from flock_sim.configuration.options import FLOCK_OPTIONS
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.recording.own_parts import BIRD, LINK_MODEL, lacking, names
+from flock_sim.recording.own_parts import BIRD, LINK_MODEL, OwnPart, lacking, names
 from flock_tools.figures.bird_outline import OUTLINE
 from flock_tools.report.data import Reported
 from flock_tools.report.key_numbers import COLUMNS, MOST_ROWS, cards, differs, labels, rows, verdict
@@ -218,9 +218,14 @@ def _configuration(runs: Sequence[Reported]) -> list[tuple[str, list[str], bool]
         key: [_value(each[key], KEYS[key].unit) for each in parameters] for key in parameters[0]
     }
     rows["mode"] = [f"free, at factor {run.factor:g}" if run.factor else "lockstep" for run in runs]
-    rows["own parts"] = [", ".join(map(str, run.own_parts)) or "none" for run in runs]
+    rows["own parts"] = [", ".join(map(_part, run.own_parts)) or "none" for run in runs]
     table = [(key, values, len(set(values)) > 1) for key, values in rows.items()]
     return sorted(table, key=lambda entry: not entry[2])
+
+
+def _part(part: OwnPart) -> str:
+    """Return an own part with its digest: laws of equal names may have different sources."""
+    return f"{part} ({part.digest.removeprefix('sha256:')[:12]})" if part.digest else str(part)
 
 
 def _value(value: object, unit: str) -> str:
@@ -294,6 +299,8 @@ def _decimation(run: Reported, named: bool) -> str:
     """Return a description of the decimation of the bag's rows."""
     history = run.history
     curves = f"Curves show all {history.rows} recorded rows"
+    if history.rows == 1:
+        curves = "The bag has one row, the start, so curves are single points"
     if history.width > 1:
         curves = (
             f"Of the {history.rows} recorded rows, curves show the smallest and the largest value "
@@ -301,4 +308,6 @@ def _decimation(run: Reported, named: bool) -> str:
             "only to within these rows"
         )
     who = f"{run.name}: " if named else ""
-    return f"{who}{curves}. The formation is shown at {len(history.frame_time)} of them."
+    frames = len(history.frame_time)
+    shown = f" The formation is shown at {frames} of them." if history.rows > 1 else ""
+    return f"{who}{curves}.{shown}"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Charts: lines and marks in a frame with axes, zoomed along the horizontal axis. reading.js reads values from them.
 
-const LEFT = 64, RIGHT = 20, TOP = 10, BOTTOM = 22; // px around a chart; the CSS of .cursor knows TOP and BOTTOM
+const LEFT = 72, RIGHT = 20, TOP = 10, BOTTOM = 22; // px around a chart; the CSS of .cursor knows TOP and BOTTOM
 const LAW = 4; // the mark of the linear law
 const charts = {}; // by id: what `chart` was given, and `scales`
 const zooms = { time: null, gap: null, real: null }; // by axis: [from, to], or null for all
@@ -92,6 +92,7 @@ function draw(drawn) {
     if (y !== undefined) stroke(context, [LEFT, width - RIGHT], [up(y), up(y)]);
   }
   context.restore();
+  if (!points && !zoom) context.clearRect(0, 0, width, height); // axes without values would mislead
   tellEmpty(drawn, points, lines.length);
   clearReading(drawn);
 }
@@ -108,7 +109,10 @@ function drawAxes(context, { scales: { across, up, wide, width, height }, log, w
   }
   context.textAlign = "center";
   const places = ticks(wide[0], wide[1], width < 500 ? 4 : 8, false).filter((x) => !whole || Number.isInteger(x));
-  for (const x of places) context.fillText(tickText(x, places), across(x), height - BOTTOM + 14);
+  for (const x of places) {
+    const text = tickText(x, places), half = context.measureText(text).width / 2;
+    context.fillText(text, Math.min(across(x), width - half), height - BOTTOM + 14);
+  }
   context.strokeStyle = css("--control");
   stroke(context, [LEFT, LEFT, width - RIGHT], [TOP, height - BOTTOM, height - BOTTOM]);
 }

@@ -21,7 +21,10 @@ function placeAt(line, k) {
   return from === to ? from : `${from} to ${to}`;
 }
 
-/** Return what a chart says at a pixel: {x, title, rows: [{line, x, y, text, near}]}, or null for nothing. */
+/**
+ * Return what a chart says at a pixel: {x, title, rows: [{line, x, y, text, near}], more}, or null for nothing. The rows
+ * are the nearest lines; if there are several runs, those of the nearest bird in each run.
+ */
 function readingOf(drawn, px, py) {
   const { across, up, back, wide } = drawn.scales, x = back(px);
   const found = visible(drawn).map((line) => {
@@ -34,7 +37,8 @@ function readingOf(drawn, px, py) {
   }).filter(Boolean).sort((one, other) => one.off - other.off);
   if (!found.length || (drawn.scatter && found[0].off > FAR)) return null;
   const near = found[0], place = placeAt(near.line, near.k), most = MOST_READ[drawn.scales.width < 500 ? "narrow" : "wide"];
-  const rows = found.slice(0, drawn.scatter ? 1 : most).sort((one, other) => one.y - other.y).map((each) => {
+  const alike = several && near.line.bird !== undefined ? found.filter(({ line }) => line.bird === near.line.bird) : found;
+  const rows = alike.slice(0, drawn.scatter ? 1 : most).sort((one, other) => one.y - other.y).map((each) => {
     const elsewhere = placeAt(each.line, each.k);
     const where = drawn.scatter || elsewhere === place ? "" : ` (at ${elsewhere})`;
     return { ...each, near: each === near, text: `${each.line.name}: ${valueAt(each.line, each.k, drawn.unit)}${where}` };

@@ -174,6 +174,7 @@ window.addEventListener("resize", drawAll);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 window.addEventListener("beforeprint", () => {
   for (const tab of tabs) element(tab.getAttribute("aria-controls")).hidden = false;
+  element("choice").hidden = element("legend-group").hidden = false;
   drawAll();
 });
 window.addEventListener("afterprint", () => open(tabs.find((tab) => tab.getAttribute("aria-selected") === "true")));

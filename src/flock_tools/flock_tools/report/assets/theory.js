@@ -57,7 +57,7 @@ function drawEigenvalues() {
   table("eigenvalues", () => [["number", "real part", "imaginary part"],
     ...range(real.length).map((k) => [k + 1, told(real[k]), told(imaginary[k])])]);
   const known = real.length > 0 && Number.isFinite(real[0]);
-  const words = known ? `${real.length} eigenvalues; the largest real part is ${told(real[0], 4)}: ` +
+  const words = known ? `${real.length} eigenvalue${real.length > 1 ? "s" : ""}; the largest real part is ${told(real[0], 4)}: ` +
     `disturbances ${real[0] < 0 ? "decay" : "do not decay"}.` : why;
   say("eigenvalues", words);
   element("eigenvalues-words").textContent = words;
