@@ -10,6 +10,7 @@ and no font of another server.
 from __future__ import annotations
 
 import html
+import json
 import posixpath
 import re
 from collections.abc import Callable
@@ -33,6 +34,7 @@ PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "examples/gusty_formation.ipynb": "notebook.md",
 }
 """Pages of the site whose source is not in docs/."""
 
@@ -71,7 +73,11 @@ def on_config(config: MkDocsConfig) -> None:
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Add the pages outside docs/, and all files there that pages link."""
     for source, page in PAGES.items():
-        files.append(File.generated(config, page, abs_src_path=str(ROOT / source)))
+        path = ROOT / source
+        if path.suffix == ".ipynb":
+            files.append(File.generated(config, page, content=_of_notebook(path)))
+        else:
+            files.append(File.generated(config, page, abs_src_path=str(path)))
     sources = [*PAGES, *(f"docs/{file.src_uri}" for file in files.documentation_pages())]
     texts = [(source, ROOT / source) for source in sources]
     linked = {
@@ -84,6 +90,21 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         path = ROOT / target
         if target not in PAGES and not target.startswith("docs/") and path.is_file():
             files.append(File.generated(config, target, abs_src_path=str(path)))
+
+
+def _of_notebook(path: Path) -> str:
+    """Return the text of a notebook: its cells and their outputs."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {"text/plain": output.get("text", [])})
+            if "image/png" in data:
+                parts.append(f"![Picture](data:image/png;base64,{''.join(data['image/png']).strip()})")
+            else:
+                parts.append(f"```text\n{''.join(data['text/plain']).rstrip()}\n```")
+    return "\n\n".join(parts)
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
