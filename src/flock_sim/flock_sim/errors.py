@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 
 class FlockError(Exception):
@@ -22,11 +22,25 @@ class RunFailed(FlockError):
     exit_status = 1
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the hint of an error message: the known word nearest to `word`, and all of them."""
+def nearest(word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None) -> str:
+    """Return the hint of an error message: the known word nearest to `word`, and all of them.
+
+    `synonyms` has known words by others for the same.
+    """
+    known = list(known)
+    close = closest(word, known, synonyms)
+    hint = f"did you mean {close!r}? " if close else ""
+    return f"{hint}known are {', '.join(known)}"
+
+
+def closest(
+    word: str, known: Sequence[str], synonyms: Mapping[str, str] | None = None
+) -> str | None:
+    """Return the known word nearest to `word`, or with which it begins; None if none is near."""
     import difflib  # for errors only
 
-    known = list(known)
+    if synonyms and word in synonyms:
+        return synonyms[word]
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}known are {', '.join(known)}"
+    begins = [each for each in known if each and word.startswith(each)]
+    return next(iter(close or begins), None)

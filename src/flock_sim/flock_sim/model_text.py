@@ -50,20 +50,21 @@ def values_of(
     items: Iterable[tuple[str, str]],
     keys: Mapping[str, NumberKey],
     both: Mapping[str, Sequence[str]] | None = None,
+    synonyms: Mapping[str, str] | None = None,
 ) -> dict[str, list[float]]:
     """Return the values of each key of `items`, one or one for each member.
 
-    `both` are further keys, each of which sets several of `keys`. Raises FlockError, which begins
-    with `called`, on a key that is unknown or given twice, and on a value out of range.
+    `both` are further keys, each of which sets several of `keys`. `synonyms` has the keys that
+    other words mean, for errors. Raises FlockError, which begins with `called`, on a key that is
+    unknown or given twice, and on a value out of range.
     """
     both = both or {}
     values: dict[str, list[float]] = {}
     for key, given in items:
         if key not in keys and key not in both:
             known = [*keys, *both]
-            raise FlockError(
-                f"{called}: unknown key {key!r}: {nearest(key, known) if known else 'it has none'}"
-            )
+            hint = nearest(key, known, synonyms) if known else "it has none"
+            raise FlockError(f"{called}: unknown key {key!r}: {hint}")
         for single in both.get(key, (key,)):
             if single in values:
                 raise FlockError(f"{called}: {single} is given twice; leave one out")

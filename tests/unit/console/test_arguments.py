@@ -84,6 +84,24 @@ def test_options_are_not_abbreviated() -> None:
         flock("--bird", "3")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--brids", "3"), "unrecognized arguments: --brids 3, did you mean --birds?; ./flock fly"),
+        (("--tmax=3",), "unrecognized arguments: --tmax=3, did you mean --t-max?"),
+        (("x", "--links", "hold"), "unrecognized arguments: x --links hold, did you mean --link?"),
+        (("x",), "unrecognized arguments: x; ./flock fly --help"),
+        (("--zzzz",), "unrecognized arguments: --zzzz; ./flock fly --help"),
+        (("--coupling", "all-to-all"), "'all-to-all': did you mean 'all'?"),
+        (("--coupling", "neighbour"), "'neighbour': known are nearest, all"),
+    ],
+)
+def test_a_word_that_is_nearly_right_is_corrected(arguments: tuple[str, ...], words: str) -> None:
+    with pytest.raises(FlockError) as refused:
+        flock(*arguments)
+    assert words in str(refused.value)
+
+
 @pytest.mark.parametrize("number", ["1e4", "1E+4", "10000", "1_0000.0"])
 def test_numbers_are_taken_in_any_usual_form(number: str) -> None:
     assert flock("--t-max", number).t_max == 1e4

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from flock_sim.console.signals import Ended, Endings
-from flock_sim.errors import FlockError, RunFailed
+from flock_sim.errors import FlockError, RunFailed, closest
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141
@@ -45,6 +45,21 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+
+    def format_help(self) -> str:
+        """Return the help without spaces at the ends of lines."""
+        return "".join(f"{line.rstrip()}\n" for line in super().format_help().splitlines())
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Do as argparse, but suggest the nearest option for one that the tool does not have."""
+        options, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            known = [option for option in self._option_string_actions if option.startswith("--")]
+            option = next((word for word in unknown if word.startswith("--")), "")
+            close = closest(option.partition("=")[0], known) if option else None
+            hint = f", did you mean {close}?" if close else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return options, unknown
 
     def error(self, message: str) -> NoReturn:
         """Raise FlockError instead of printing the usage."""
