@@ -12,11 +12,13 @@ from flock_sim.console.arguments import run_tool
 Tool = Callable[[Sequence[str]], int]
 
 
-def json_of(tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    """Return the one JSON object on stdout, strictly parsed. Stderr must be empty."""
+def json_of(
+    tool: Tool, capsys: pytest.CaptureFixture[str], *arguments: str, notes: str = ""
+) -> dict[str, Any]:
+    """Return the one JSON object on stdout, strictly parsed. Stderr must be `notes`."""
     assert run_tool(tool, [*arguments, "--json"]) == 0
     told = capsys.readouterr()
-    assert told.err == ""
+    assert told.err == notes
     value = json.loads(told.out, parse_constant=pytest.fail)
     assert isinstance(value, dict)
     return value

@@ -58,7 +58,9 @@ def test_a_steady_state_is_that_of_a_flock_that_nobody_pushes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     calm = json_of(tool, capsys, "--birds", "5")
-    assert json_of(tool, capsys, "--birds", "5", "--perturb", "5@10=1e3") == calm
+    push = ("--perturb", "5@10=1e3", "--dt", "0.5")
+    notes = "note: --perturb, --dt: no effect on the result of this tool\n"
+    assert json_of(tool, capsys, "--birds", "5", *push, notes=notes) == calm
     assert "bird 6" in error_of(tool, capsys, "--birds", "5", "--perturb", "6@10=1e3")
 
 

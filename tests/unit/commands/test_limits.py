@@ -55,12 +55,22 @@ def test_limits_are_those_of_a_flock_that_nobody_pushes(
     method: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # The push, ten steps before the end, would leave no flock with sigma_U < 1e-4.
-    flock = ("--birds", "3", "--method", method, "--bird", "2", "--t-max", "1e4")
-    calm, pushed = (
-        json_of(tool, capsys, *flock, *push) for push in ((), ("--perturb", "1@9990=0,0.1"))
-    )
+    flock = ("--birds", "3", "--method", method, "--bird", "2")
+    push = ("--perturb", "1@9990=0,0.1")
+    calm = json_of(tool, capsys, *flock)
+    unused = "note: --perturb: no effect on the result of this tool\n"
+    pushed = json_of(tool, capsys, *flock, *push, notes=unused)
     assert pushed["limits"] == calm["limits"]
     assert not calm["limits"][0]["never"]
+
+
+def test_exact_limits_do_not_depend_on_the_time_of_flight(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    flock = ("--birds", "3", "--bird", "2")
+    notes = "note: --dt, --t-max: no effect on the result of this tool\n"
+    timed = json_of(tool, capsys, *flock, "--t-max", "10", "--dt", "0.5", notes=notes)
+    assert timed["limits"] == json_of(tool, capsys, *flock)["limits"]
 
 
 @pytest.mark.slow

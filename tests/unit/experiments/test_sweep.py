@@ -187,6 +187,16 @@ def test_what_is_said_of_one_link_wins_over_what_is_said_of_all_in_any_order() -
         assert link_table.of(2, 1).faults[0, 0] == 2
 
 
+def test_a_link_may_be_written_with_a_colon() -> None:
+    arrow, colon = (
+        asked({f"link[2{sign}3].delay": [1, 2]}, links=[f"2{sign}3=hold"]) for sign in ("->", ":")
+    )
+    assert colon.text() == arrow.text()
+    assert colon.members() == arrow.members()
+    with pytest.raises(FlockError, match="the same as"):
+        asked({"link[2->3].delay": [1], "link[2:3].delay": [1]})
+
+
 def test_the_text_of_a_sweep_is_that_sweep() -> None:
     axes = {name: AXES[name] for name in AXES if name not in ("lambda_3", "dt", "link.seed")}
     axes["link.interval"] = [2]
@@ -220,6 +230,7 @@ def test_a_sweep_records_enough_steps_for_a_verdict() -> None:
     [
         ({}, {}, ["`axes:` must hold one or more"]),
         ({"span_ratoi[2]": [1]}, {}, ["'span_ratoi[2]'", "did you mean 'span_ratio[I]'"]),
+        ({"link.loss": [1]}, {}, ["unknown key 'loss'", "did you mean 'drop'"]),
         ({"link.dely": [1]}, {}, ["unknown key 'dely'", "did you mean 'delay'"]),
         ({"link.delay": []}, {}, ["'link.delay'", "has no values"]),
         ({"link.delay": 5}, {}, ["'link.delay'", "must be a list"]),

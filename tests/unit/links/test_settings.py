@@ -26,6 +26,10 @@ REFUSED = [
     ),
     ([":delay=1"], ["unknown model ''", "known are exact, hold, linear"]),
     (["hold:dealy=1"], ["unknown key 'dealy'", "did you mean 'delay'?", "interval"]),
+    (["hold:loss=0.1"], ["unknown key 'loss'", "did you mean 'drop'?"]),
+    (["3:4=hodl"], ["unknown model 'hodl'", "did you mean 'hold'?"]),
+    (["3:5=hold"], ["'3->5=hold'", "bird 5 does not feel bird 3"]),
+    (["3:=hold"], ["unknown model '3'"]),
     (["hold:delay=1,"], ["unknown key ''", "known are"]),
     (["hold:delay=1;drop=0"], ["delay=1;drop=0", "whole number"]),
     (["hold:delay=1,delay=2"], ["delay is given twice", "leave one out"]),
@@ -59,9 +63,9 @@ REFUSED = [
     (["3->3=hold"], ["bird 3 does not feel bird 3"]),
     (["13->14=hold"], ["bird 14 is not among 1..13"]),
     (["0->1=hold"], ["bird 0 is not among 1..13"]),
-    (["3->4"], ["'3->4'", "SOURCE->TARGET", "3->4=linear"]),
-    (["3->=hold"], ["'3->=hold'", "SOURCE->TARGET"]),
-    (["a->b=hold"], ["'a->b=hold'", "SOURCE->TARGET"]),
+    (["3->4"], ["'3->4'", "SOURCE:TARGET", "3:4=linear"]),
+    (["3->=hold"], ["'3->=hold'", "SOURCE:TARGET"]),
+    (["a->b=hold"], ["'a->b=hold'", "SOURCE:TARGET"]),
     (["3->4=hodl"], ["unknown model 'hodl'", "did you mean 'hold'?"]),
 ]
 
@@ -143,3 +147,10 @@ def test_who_flies_over_other_links_does_not_agree():
     check_handshake("bird_01", configuration, handshake(configuration))
     with pytest.raises(FlockError, match=r'bird_01 has links = \["hold:interval=10"\]'):
         check_handshake("bird_01", configuration, handshake(FlockConfiguration()))
+
+
+@pytest.mark.parametrize("entry", ["3:4=hold:delay=2", " 3 : 4=hold:delay=2", "03:4=hold:delay=2"])
+def test_birds_may_be_written_so_that_a_shell_leaves_them_alone(entry):
+    flock = FlockConfiguration(links=(entry, "linear:delay=1"))
+    assert flock.links == ("3->4=hold:delay=2", "linear:delay=1")
+    assert flock == FlockConfiguration.from_parameters({"links": [entry, "linear:delay=1"]})

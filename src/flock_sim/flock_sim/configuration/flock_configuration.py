@@ -23,7 +23,6 @@ from flock_sim.forcing import settings as forcing_text
 from flock_sim.forcing.forcing_table import ForcingTable
 from flock_sim.forcing.registry import BUILT_IN
 from flock_sim.links import keys
-from flock_sim.links.registry import MODELS
 
 if TYPE_CHECKING:
     from flock_sim.links.link_table import LinkTable
@@ -94,9 +93,8 @@ class FlockConfiguration:
     )
     links: tuple[str, ...] = _key(
         (),
-        "link model for all birds, or for what TARGET receives from SOURCE (quote the >)",
-        note=f"MODEL is one of {', '.join(model.name for model in MODELS)}; KEY is one of "
-        f"{', '.join(keys.KEYS)}; of several for one link, the last one applies",
+        "link model for all birds, or for what TARGET knows of SOURCE",
+        note="of several for one link, the last one applies",
         form=keys.FORM,
         example=keys.EXAMPLE,
     )
@@ -140,6 +138,8 @@ class FlockConfiguration:
         """Refuse a configuration that cannot be flown."""
         for name, key in KEYS.items():
             key.check(name, getattr(self, name))
+        links = tuple(map(keys.with_arrow, self.links))
+        object.__setattr__(self, "links", links)  # so that equal flocks have equal text
         if self.cruise_speed < self.min_drag_speed:
             raise FlockError(
                 f"cruise_speed = {self.cruise_speed:g}: must be min_drag_speed "

@@ -8,7 +8,7 @@ import math
 from flock_sim import model_text
 from flock_sim.model_text import NumberKey, whole
 
-FORM = f"[SOURCE->TARGET=]{model_text.FORM}"
+FORM = f"[SOURCE:TARGET=]{model_text.FORM}"
 EXAMPLE = "hold:interval=10,delay=5"
 
 LONGEST = 10000
@@ -66,3 +66,27 @@ NUMBERS = {
 """All keys that set one number."""
 
 KEYS = (*NUMBERS, *BOTH)
+
+SYNONYMS = {
+    **dict.fromkeys(("loss", "lost", "packet_loss", "drop_rate"), "drop"),
+    **dict.fromkeys(("latency", "lag"), "delay"),
+    **dict.fromkeys(("period", "every"), "interval"),
+    **dict.fromkeys(("resolution", "rounding"), "quantum"),
+}
+"""Keys for other words of the same meaning."""
+
+
+def birds_of(text: str) -> tuple[int, int] | None:
+    """Return source and target; None if `text` is not SOURCE->TARGET or SOURCE:TARGET."""
+    source, _, target = text.partition("->" if "->" in text else ":")
+    try:
+        return int(source), int(target)
+    except ValueError:
+        return None
+
+
+def with_arrow(entry: str) -> str:
+    """Return the text of a link as configurations have it: 3->4=MODEL also for 3:4=MODEL."""
+    birds, _, what = entry.partition("=")
+    link = birds_of(birds)
+    return entry if "->" in birds or not link else f"{link[0]}->{link[1]}={what}"

@@ -3,7 +3,7 @@
 
 As text a link is [SOURCE->TARGET=]MODEL[:KEY=VALUE[/VALUE...],...], such as "hold:interval=10" for
 all links of a flock, or "3->4=linear:delay=2,drop=0.1/0.3" for what bird 4 knows of bird 3. Several
-values of a key are those of the members.
+values of a key are those of the members. SOURCE:TARGET is read, too: a shell leaves it as it is.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flock_sim.errors import FlockError, nearest
+from flock_sim.links import keys
 from flock_sim.links.keys import (
     BOTH,
     DELAY,
@@ -23,6 +24,7 @@ from flock_sim.links.keys import (
     JITTER,
     NUMBERS,
     SEED,
+    SYNONYMS,
 )
 from flock_sim.links.registry import MODELS
 from flock_sim.model_text import items_of, members_of, values_of
@@ -102,7 +104,7 @@ def read(entry: str) -> tuple[tuple[int, int] | None, Settings]:
     names = [model.name for model in MODELS]
     if name not in names:
         raise FlockError(f"{called}: unknown model {name!r}: {nearest(name, names)}")
-    values = values_of(called, items, NUMBERS, BOTH)
+    values = values_of(called, items, NUMBERS, BOTH, SYNONYMS)
     model = names.index(name)
     interval = values.pop(INTERVAL, [1.0])
     if len(set(interval)) > 1:
@@ -126,16 +128,11 @@ def parted(entry: str) -> tuple[tuple[int, int] | None, str, list[tuple[str, str
     `entry` has neither form.
     """
     birds, equals, what = entry.partition("=")
-    source, arrow, target = birds.partition("->")
-    link = None
-    if arrow and ":" not in birds:
-        try:
-            link = int(source), int(target)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise FlockError(
-                f"link {entry!r}: must be {FORM} such as {EXAMPLE} or 3->4=linear:delay=2"
-            )
+    link = keys.birds_of(birds) if equals else None
+    if link is None and "->" in birds and ":" not in birds:
+        raise FlockError(
+            f"link {entry!r}: must be {FORM} such as {EXAMPLE} or 3:4=linear:delay=2 (3->4=... is "
+            "the same)"
+        )
     model, _, rest = (what if link else entry).partition(":")
     return link, model, items_of(rest)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.configuration.options import FLIGHT, add_flock_options, flock_configuration
 from flock_sim.console.arguments import Parser, print_json, run_tool
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ Solve for the steady state of a flock. If it exists, the flock can fly in format
 prints speed, spacings, drag saved and stability; if not, it prints which gap opens and which birds
 stay together. The solution is exact for nearest-neighbour coupling.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
---dt, --t-max, --record-every and --perturb have no effect; all links have to be exact.
+The flock is not flown: links are exact, and there is no forcing.
 Exit status: 0, whether the flock can fly in formation or not; 2 bad input."""
 
 EXAMPLES = """\
@@ -32,7 +32,7 @@ EXAMPLES = """\
 def tool(arguments: Sequence[str]) -> int:
     """Solve for the steady state of a flock and print it."""
     parser = Parser("equilibrium", DESCRIPTION, EXAMPLES)
-    add_flock_options(parser)
+    add_flock_options(parser, FLIGHT, refused=("links", "forcing"))
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
 

@@ -11,7 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.configuration.options import (
+    FLOCK_OPTIONS,
+    add_flock_options,
+    flock_configuration,
+    note_unused,
+)
 from flock_sim.console.arguments import (
     TIMEOUT,
     Parser,
@@ -135,7 +140,7 @@ def tool(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     parser = Parser("limits", DESCRIPTION, EXAMPLES)
-    add_flock_options(parser)
+    add_flock_options(parser, ignored=("record_every", "perturbations"), refused=("links",))
     limits = parser.add_argument_group("limits")
     limits.add_argument(
         "--of",
@@ -218,7 +223,10 @@ def _found(
 
 
 def _check_method(options: argparse.Namespace) -> None:
-    """Raise FlockError on an unknown method, or on an option that the method does not have."""
+    """Raise FlockError on an unknown method, or on an option that the method does not have.
+
+    The time of a flight is an option of the flock, and has no effect on the exact method.
+    """
     if options.method not in METHODS:
         raise FlockError(f"--method {options.method!r}: {nearest(options.method, METHODS)}")
     for name, methods in OF_METHODS.items():
@@ -227,6 +235,9 @@ def _check_method(options: argparse.Namespace) -> None:
                 f"--{name} is for --method {' and '.join(methods)}: leave it out with "
                 f"{options.method}"
             )
+    for name in ("dt", "t_max"):
+        if options.method == "exact" and getattr(options, name) is not None:
+            note_unused(options, FLOCK_OPTIONS[name])
 
 
 def _check_quantity(options: argparse.Namespace) -> None:

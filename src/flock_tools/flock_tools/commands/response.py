@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from flock_sim.configuration.options import add_flock_options, flock_configuration
+from flock_sim.configuration.options import FLIGHT, add_flock_options, flock_configuration
 from flock_sim.console.arguments import (
     Parser,
     not_negative_number,
@@ -40,7 +40,7 @@ speed are amplified from bird to bird (string stability), how far gaps move at m
 neighbours a constant time late.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min, frequencies omega
 in U_min/b; the gap i is between birds i and i + 1.
---dt, --t-max, --record-every and --perturb have no effect; all links have to be exact.
+The flock is not flown: links are exact, and there is no forcing.
 Exit status: 0, whether the flock has a stable steady state or not; 1 it can't be computed; 2 bad
 input."""
 
@@ -96,7 +96,7 @@ def tool(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     parser = Parser("response", DESCRIPTION, EXAMPLES)
-    add_flock_options(parser)
+    add_flock_options(parser, FLIGHT, refused=("links", "forcing"))
     group = parser.add_argument_group("response")
     group.add_argument(
         "--lag", metavar="TAU", help="constant time by which birds know their neighbours late (0)"

@@ -45,7 +45,7 @@ FILE is YAML: `flock:` holds keys of a configuration file that all members have 
 `axes:` the values that differ, as a list or as {from: , to: , count: }:
   span_ratio[I]                  span ratio of bird I (also lambda_I)
   position[I], speed[I]          change of the start of bird I, in b and U_min
-  link.KEY, link[I->J].KEY       of all links or one: model, delay, drop, interval, noise, seed ...
+  link.KEY, link[I:J].KEY        of all links or one: model, delay, drop, interval, noise, seed ...
   forcing.LAW.KEY                of the forcing by this law; forcing[I].LAW.KEY: of that of bird I
   coupling, dt, cruise_speed ... keys of a configuration; each value has flights of its own
 If a sweep is interrupted, by Ctrl-C or kill -9 at any time, the same command continues it: complete

@@ -16,7 +16,7 @@ from flock_sim.configuration.flock_configuration import LISTS
 from flock_sim.configuration.key import number_of
 from flock_sim.errors import FlockError, nearest
 from flock_sim.forcing.registry import BUILT_IN
-from flock_sim.links.keys import NUMBERS
+from flock_sim.links.keys import NUMBERS, SYNONYMS
 from flock_tools.experiments.sweep.members import Member
 
 MOST_VALUES = 100_000
@@ -45,13 +45,13 @@ STARTS = {"position": ("b", "{value},0"), "speed": ("U_min", "0,{value}")}
 """Quantities of a bird that a perturbation can change at the start: unit, and perturbation."""
 
 KNOWN = (
-    *("span_ratio[I]", "position[I]", "speed[I]", "link.KEY", "link[I->J].KEY"),
+    *("span_ratio[I]", "position[I]", "speed[I]", "link.KEY", "link[I:J].KEY"),
     *("forcing.LAW.KEY", "forcing[I].LAW.KEY", *KEYS),
 )
 
 _RATIO = re.compile(r"span_ratio\[(\d+)\]|lambda_(\d+)")
 _START = re.compile(r"(position|speed)\[(\d+)\]")
-_LINK = re.compile(r"link(?:\[(\d+)->(\d+)\])?\.(\w+)")
+_LINK = re.compile(r"link(?:\[(\d+)(?:->|:)(\d+)\])?\.(\w+)")
 _FORCING = re.compile(r"forcing(?:\[(\d+)\])?\.(\w+)\.(\w+)")
 
 Value = float | str
@@ -135,7 +135,7 @@ def _link(name: str) -> Axis | None:
         return None
     source, target, key = match.groups()
     if key not in LINK_KEYS:
-        raise FlockError(f"axis {name!r}: unknown key {key!r}: {nearest(key, LINK_KEYS)}")
+        raise FlockError(f"axis {name!r}: unknown key {key!r}: {nearest(key, LINK_KEYS, SYNONYMS)}")
     birds = f"{int(source)}->{int(target)}" if source else ""
 
     def vary(member: Member, value: Value) -> Member:
@@ -144,6 +144,7 @@ def _link(name: str) -> Axis | None:
     whose = f"{int(source)}_{int(target)}_" if source else ""
     long_name, units = LINK_KEYS[key]
     long_name += f" of link {birds}" if source else " of all links"
+    name = name.replace(":", "->")  # one name, so that the sweeps of both names are equal
     return Axis(name, f"link_{whose}{key}", long_name, units, (), vary, bool(source))
 
 
