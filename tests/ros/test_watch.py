@@ -3,6 +3,13 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pty
+import select
+import struct
+import termios
+
 from flock_sim.recording.run import Run
 from flock_sim.ros.process import executing
 from flock_tools.live.flock_monitor import Sample
@@ -72,6 +79,46 @@ def test_one_flock_after_the_other_is_shown_as_what_it_is(
             assert told == expected
             player.interrupt()
             assert player.wait().status == 130
+
+
+def test_keys_show_another_member_and_end_the_table(terminal: Terminal) -> None:
+    flight = terminal.start("fly", *FLOCK[:2], *FLOCK[4:], "--t-max", 1e7, "--output", "flown")
+    keys, screen = pty.openpty()
+    try:
+        before = termios.tcgetattr(screen)
+        fcntl.ioctl(screen, termios.TIOCSWINSZ, struct.pack("HHHH", 50, 120, 0, 0))
+        shown: list[bytes] = []
+        job = terminal.start(
+            *("watch", "--timeout", 60),
+            stdin=screen,
+            stderr=screen,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+
+        def sees(words: str) -> bool:
+            if select.select([keys], [], [], 0)[0]:
+                shown.append(os.read(keys, 1 << 16))
+            return words.encode() in b"".join(shown)
+
+        job.until(lambda: sees("member 1 of 2"))
+        job.until(lambda: sees("q: quit"))
+        for words in ("verdict: settling since t =", "sigma_U", "position, b", "speed, U_min"):
+            job.until(lambda words=words: sees(words))
+        os.write(keys, b"\x1b[C")
+        job.until(lambda: sees("member 2 of 2"))
+        shown.clear()
+        os.write(keys, b"\x1b[D")
+        job.until(lambda: sees("member 1 of 2"))
+        os.write(keys, b"q")
+        while job.running:
+            sees("")  # so that the terminal has room for the last table
+        assert job.wait().status == 0
+        assert termios.tcgetattr(screen) == before
+        flight.interrupt()
+        assert flight.wait().status == 130
+    finally:
+        os.close(keys)
+        os.close(screen)
 
 
 def test_a_silent_domain_is_named(terminal: Terminal) -> None:

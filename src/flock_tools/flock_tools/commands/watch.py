@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from threading import Event
 from typing import TYPE_CHECKING
 
 from flock_sim.console.arguments import Parser, positive_number, print_json, run_tool, whole_number
@@ -21,12 +22,16 @@ if TYPE_CHECKING:
     from flock_tools.live.listener import Watcher
 
 DESCRIPTION = """\
-Show a table of a flock that is being flown or played, with a row for each bird: its position
+Show a live table of a flock that is flown or played. It has a row for each bird: its position
 relative to the leader, its speed, the drag it saves, the birds whose messages it uses ("hears"),
-and the age of its last message. The latest recorded step is shown; birds send states every
---record-every steps. Drag saved, coupling and the end of the flight come from the clock's grants,
-which bags of ./flock reference do not have.
-Exit status: 0 shown (--once, --json); 1 no flock within --timeout; 2 bad input; 130 Ctrl-C."""
+and the age of its last message. Above are the spread of the speeds, sigma_U, and a verdict from
+all states that were seen since the table was opened (docs/model.md). The table shows the latest
+recorded step: birds send their states every --record-every steps. The verdict, the drag saved in %,
+the coupling and the end of the flight need the messages of a clock; bags of ./flock reference
+have none.
+Keys: q quits, the left and right arrows show another member.
+Exit status: 0 ended by q, or shown once (--once, --json); 1 no flock within --timeout; 2 bad input;
+130 Ctrl-C."""
 
 EXAMPLES = """\
   ./flock watch
@@ -35,9 +40,18 @@ EXAMPLES = """\
   ./flock watch --json | jq .speed          one sample, as JSON"""
 
 
-def table(sample: Sample, unreadable: str = "") -> Table:
-    """Return the table of a flock. `unreadable`: why the clock's configuration can't be read."""
+KEYS = "q: quit"
+MEMBER_KEYS = "left and right arrow: another member"
+
+
+def table(sample: Sample, unreadable: str = "", verdict: str = "", keys: str = "") -> Table:
+    """Return the table of a flock, with the `verdict` above and the `keys` below.
+
+    `unreadable`: why the clock's configuration can't be read.
+    """
     from rich.table import Table
+
+    from flock_sim.analysis.metrics import STABLE_BELOW
 
     title = f"{sample.birds} birds" + (f", {sample.coupling} coupling" if sample.coupling else "")
     if sample.real_time_factor:
@@ -46,17 +60,25 @@ def table(sample: Sample, unreadable: str = "") -> Table:
         title += f", member {sample.member} of {sample.members}"
     end = "" if sample.end is None else f" of {sample.end}"
     rate = "" if sample.rate is None else f", {sample.rate:.0f} steps/s"
-    drawn = Table(title=f"{title}\nstep {sample.step}{end}, t = {sample.time:g}{rate}")
+    mean = sum(sample.speed) / sample.birds
+    stable = f"{'below' if sample.speed_std < STABLE_BELOW else 'not below'} {STABLE_BELOW:g}"
+    lines = [
+        title,
+        f"step {sample.step}{end}, t = {sample.time:g} b/U_min{rate}",
+        f"mean speed {mean:.6f} U_min, sigma_U {sample.speed_std:.2e} U_min ({stable})",
+        *([f"verdict: {verdict}"] if verdict else []),
+    ]
+    drawn = Table(title="\n".join(lines))
     known = sample.drag_reduction is not None
     drag = [] if known else sample.interaction_drag
     columns = {
         "bird": [
             f"{k + 1}{' leader' if k + 1 == sample.leader else ''}" for k in range(sample.birds)
         ],
-        "position": [f"{value:.4f}" for value in sample.position],
-        "speed": [f"{value:.6f}" for value in sample.speed],
+        "position, b": [f"{value:.4f}" for value in sample.position],
+        "speed, U_min": [f"{value:.6f}" for value in sample.speed],
         "drag saved, %": [f"{100.0 * value:.2f}" for value in sample.drag_reduction or ()],
-        "drag saved": [f"{0.0 - value:.5f}" for value in drag],
+        "drag saved, ρ b² U_min²": [f"{0.0 - value:.5f}" for value in drag],
         "hears": [_listed(birds) for birds in sample.hears or ()],
         "age, s": [f"{value:.1f}" for value in sample.age],
     }
@@ -65,11 +87,13 @@ def table(sample: Sample, unreadable: str = "") -> Table:
         drawn.add_column(name, justify="right")
     for cells in zip(*shown.values(), strict=True):
         drawn.add_row(*cells)
+    notes = [keys] if keys else []
     if not known:
         why = "no clock has sent the configuration"
         if unreadable:
             why = f"the configuration that the clock has sent can't be read ({unreadable})"
-        drawn.caption = f"{why}: drag is in ρ b² U_min²"
+        notes.append(f"{why}: no verdict, and drag not in %")
+    drawn.caption = "\n".join(notes) or None
     return drawn
 
 
@@ -79,7 +103,7 @@ def _listed(birds: Sequence[int]) -> str:
 
 
 def tool(arguments: Sequence[str]) -> int:
-    """Show a flock until Ctrl-C, or once."""
+    """Show a flock until q or Ctrl-C, or once."""
     parser = Parser("watch", DESCRIPTION, EXAMPLES)
     parser.add_argument(
         "--member", metavar="M", default="1", help="number of the member to show (1)"
@@ -117,16 +141,35 @@ def tool(arguments: Sequence[str]) -> int:
 def _show(
     watcher: Watcher, executor: Executor, member: int, sample: Sample | None, stop: Stop
 ) -> None:
-    """Keep the table up to date until `stop`."""
+    """Keep the table up to date until `stop`, or until the user presses q."""
     from rich.console import Console
     from rich.live import Live
 
     from flock_tools.live.listener import REFRESH, serve
+    from flock_tools.live.running_verdict import RunningVerdict
+    from flock_tools.playback.keyboard import LEFT, QUIT, RIGHT, keyboard
 
-    with Live(console=Console(stderr=True), auto_refresh=False) as live:
+    verdict, has_keys = RunningVerdict(), Event()
+    with (
+        keyboard(has_keys.set) as pressed,
+        Live(console=Console(stderr=True), auto_refresh=False) as live,
+    ):
         while not stop:
             if sample is not None:
-                live.update(table(sample, watcher.view.unreadable), refresh=True)
+                verdict.see(sample)
+                keys = [KEYS, MEMBER_KEYS] if sample.members > 1 else [KEYS]
+                drawn = table(
+                    sample,
+                    watcher.view.unreadable,
+                    verdict.told(watcher.view.flown),
+                    "   ".join(keys) if has_keys.is_set() else "Ctrl-C: quit",
+                )
+                live.update(drawn, refresh=True)
+            for key in pressed():
+                if key == QUIT:
+                    return
+                if key in (LEFT, RIGHT) and sample is not None:
+                    member = (member - 1 + (1 if key == RIGHT else -1)) % sample.members + 1
             serve(executor, REFRESH, stop)
             sample = watcher.view.sample(watcher.birds, member)
 

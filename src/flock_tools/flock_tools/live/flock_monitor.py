@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flock_sim.analysis.metrics import plain
+from flock_sim.analysis.metrics import plain, speed_std
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.state import MEANS, VALUES
@@ -60,6 +60,8 @@ class Sample:
     """Relative to the leader, in b."""
     speed: list[float]
     """In U_min."""
+    speed_std: float
+    """sigma_U, in U_min."""
     interaction_drag: list[float]
     drag_reduction: list[float] | None
     age: list[float]
@@ -262,6 +264,7 @@ class View:
             rate=self._rate.at(now),
             position=state.from_leader.tolist(),
             speed=state.speed.tolist(),
+            speed_std=float(speed_std(state.speed)),
             interaction_drag=state.interaction_drag.tolist(),
             drag_reduction=state.drag_reduction(Scales.of(flown)).tolist() if flown else None,
             age=[max(0.0, now - sent[bird]) for bird in range(1, birds + 1)],

@@ -12,7 +12,8 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-SPACE, QUIT, UP, DOWN, RIGHT = b" ", b"q", b"\x1b[A", b"\x1b[B", b"\x1b[C"
+SPACE, QUIT = b" ", b"q"
+UP, DOWN, RIGHT, LEFT = b"\x1b[A", b"\x1b[B", b"\x1b[C", b"\x1b[D"
 _KEY = re.compile(rb"\x1b[\[O][A-D]|.", re.DOTALL)
 
 
