@@ -23,6 +23,8 @@ from flock_sim.public_names import importer
 if TYPE_CHECKING:
     from flock_sim.errors import FlockError as FlockError
     from flock_sim.errors import RunFailed as RunFailed
+    from flock_sim.links.models import LinkModel as LinkModel
+    from flock_sim.links.registry import register as register
     from flock_tools.runs.comparison import Comparison as Comparison
     from flockflight.flock import Flock as Flock
     from flockflight.flock import Sweep as Sweep
@@ -40,12 +42,14 @@ _MODULES = {
     "FlockError": "flock_sim.errors",
     "Force": "flockflight.values",
     "Link": "flockflight.values",
+    "LinkModel": "flock_sim.links.models",
     "Push": "flockflight.values",
     "RunFailed": "flock_sim.errors",
     "Sweep": "flockflight.flock",
     "compare": "flockflight.recorded",
     "load": "flockflight.recorded",
     "picture": "flockflight.recorded",
+    "register": "flock_sim.links.registry",
     "table": "flockflight.results",
 }
 """The module that defines each public name."""
