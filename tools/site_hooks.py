@@ -101,7 +101,9 @@ def _of_notebook(path: Path) -> str:
         for output in cell.get("outputs", []):
             data = output.get("data", {"text/plain": output.get("text", [])})
             if "image/png" in data:
-                parts.append(f"![Picture](data:image/png;base64,{''.join(data['image/png']).strip()})")
+                parts.append(
+                    f"![Picture](data:image/png;base64,{''.join(data['image/png']).strip()})"
+                )
             else:
                 parts.append(f"```text\n{''.join(data['text/plain']).rstrip()}\n```")
     return "\n\n".join(parts)

@@ -65,19 +65,17 @@ class Flock:
                 None if spans is None or isinstance(spans, Mapping) else len(np.atleast_1d(spans))
             )
             birds = rows or BIRDS
+        given = {
+            "birds": birds,
+            "coupling": coupling,
+            "span_ratios": span_texts(spans, birds),
+            "links": texts("links", links, Link),
+            "forcing": texts("forcing", forcing, Force),
+            "perturbations": texts("pushes", pushes, Push),
+            **keys,
+        }
         self.configuration = FlockConfiguration.given(
-            {
-                "birds": birds,
-                "coupling": coupling,
-                "span_ratios": span_texts(spans, birds),
-                "links": texts("links", links, Link),
-                "forcing": texts("forcing", forcing, Force),
-                "perturbations": texts("pushes", pushes, Push),
-                **{
-                    key: value.item() if isinstance(value, np.generic) else value
-                    for key, value in keys.items()
-                },
-            }
+            {key: one.item() if isinstance(one, np.generic) else one for key, one in given.items()}
         )
         """The same as the keys of a configuration file."""
 

@@ -17,6 +17,7 @@ from flock_sim.recording.run import Run
 from flock_tools.commands import picture
 from flock_tools.commands.picture import tool
 from flock_tools.figures import output as output_module
+from flock_tools.figures import run_history
 from flock_tools.figures.run_history import draw
 from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.runs.dataset import read
@@ -305,7 +306,7 @@ def test_each_member_has_a_picture_of_its_own(
 def test_the_curves_of_a_long_run_reach_its_end(
     flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(picture, "MOST_TIMES", 4)  # every third of the eleven rows
+    monkeypatch.setattr(run_history, "MOST_TIMES", 4)  # every third of the eleven rows
     figures = []
     monkeypatch.setattr(picture, "write_picture", lambda figure, output: figures.append(figure))
     assert run_tool(tool, [str(flight), "--output", str(tmp_path / "a.png")]) == 0

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from flock_sim.commands.reference import tool
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, perturbations
-from flock_sim.launcher.reference_flight import row, tool
+from flock_sim.launcher.reference_flight import row
 from flock_sim.messages.types import Push
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.run import Run
