@@ -136,7 +136,7 @@ def _over_time(means: TimeMeans, m: int) -> str:
     if not means.recorded:
         return "not recorded"
     saved = 100.0 * means.time_mean_drag_reduction[m]
-    return f"{fixed(saved, 2)} (t = {means.averaged_from:g} to {means.until:g})"
+    return f"{fixed(saved, 2)} from t\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{means.averaged_from:g}"
 
 
 def _row(r: int, run: Reported, m: int, name: str) -> Row:
