@@ -39,7 +39,7 @@ COLUMNS = tuple(
         "mean speed (U<sub>min</sub>)",
         "spread σ<sub>U</sub> (U<sub>min</sub>)",
         "drag saved (%)",
-        "drag saved, mean over time (%)",
+        "drag saved, mean from t to the end (%)",
         "spacing falls to the leader",
         "deviation from the linear law",
         "deviation from the exact state (b)",
@@ -136,7 +136,9 @@ def _over_time(means: TimeMeans, m: int) -> str:
     if not means.recorded:
         return "not recorded"
     saved = 100.0 * means.time_mean_drag_reduction[m]
-    return f"{fixed(saved, 2)} from t\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{means.averaged_from:g}"
+    return f"{fixed(saved, 2)} (t = {means.averaged_from:g})".replace(
+        " = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"
+    )
 
 
 def _row(r: int, run: Reported, m: int, name: str) -> Row:
