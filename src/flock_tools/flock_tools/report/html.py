@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a report: one self-contained HTML file that makes no network requests.
 
-Its charts are drawn by the scripts in `assets`, without a chart library. Bokeh 3.9, inlined, needed
-more than 2 s to open a page of 13 birds and 5 s for 101 birds, of 10 MB, and its charts can't be
-read by keyboard. uPlot is not a Python package, and has one list of times for all curves of a
-chart, while runs have different ones.
+Its charts are drawn by the scripts in `assets`, without a chart library. With Bokeh 3.9 inlined and
+a line for each bird, a page opens three to four times as slowly for 13 birds (2.5 MB) and eight
+times for 101 birds (10 MB), on the same machine, and its charts can't be read by keyboard. uPlot is
+not a Python package, and has one list of times for all curves of a chart, while runs have different
+ones.
 """
 
 from __future__ import annotations
