@@ -39,6 +39,14 @@ if TYPE_CHECKING:
     from flock_sim.commands.resume import Resumable
     from flock_sim.ros.node_parameters import FlightParameters
 
+DESCRIPTION = """\
+Fly a flock over ROS 2, record it as a rosbag2 bag, and print its metrics. Each bird is a node,
+which computes its own motion from the messages of its neighbours.
+Lengths are in b (half the standard wing span), speeds in U_min (the speed of least drag of the
+standard bird), times in b/U_min (0.042 s for the default bird, a Canada goose).
+Exit status: 0 flown; 1 the flight failed; 2 bad input; 130 Ctrl-C, after which --resume continues
+the flight."""
+
 EXAMPLES = """\
   ./flock fly                                         thirteen geese to their steady state
   ./flock fly --birds 7 --t-max 1e5 --processes 2     seven birds in two processes
@@ -95,9 +103,7 @@ def _fly(options: argparse.Namespace, plan: Plan, resumed: Resumable | None = No
 
 
 def _parser() -> Parser:
-    parser = Parser(
-        "fly", "Fly a flock over ROS 2, with one node per bird, and record it as a bag.", EXAMPLES
-    )
+    parser = Parser("fly", DESCRIPTION, EXAMPLES)
     add_flock_options(parser)
     add_output_options(parser)
     parser.add_argument(
@@ -107,7 +113,9 @@ def _parser() -> Parser:
         help="continue a flight that was cut short, from the last step in its bag",
     )
     add_law_option(parser, "--resume")
-    how = parser.add_argument_group("execution", "these options change no bit of the result")
+    how = parser.add_argument_group(
+        "execution", "these options do not change the values of the flight"
+    )
     free = parser.add_argument_group(
         "free flight", "birds do not wait for messages, so no two flights are equal"
     )
@@ -115,18 +123,22 @@ def _parser() -> Parser:
         "--mode",
         metavar="|".join(MODES),
         default=MODES[0],
-        help="whether birds wait for each other's messages, or step by their own timers (lockstep)",
+        help="lockstep: birds wait for each other's messages; free: each bird has its own timer "
+        f"({MODES[0]})",
     )
     free.add_argument(
         "--real-time-factor",
         metavar="F",
-        help="speed of a free flight over real time (1)",
+        help="speed of a free flight: simulated time over real time (1)",
     )
-    how.add_argument("--processes", metavar="P", default="1", help="processes for the birds (1)")
+    how.add_argument(
+        "--processes", metavar="P", default="1", help="number of processes that the birds share (1)"
+    )
     how.add_argument(
         "--window",
         metavar="W",
-        help=f"steps that birds may be granted ahead; 1 is strict lockstep ({WINDOW})",
+        help=f"number of steps that the clock grants in advance; 1: no bird begins a step before "
+        f"all birds have finished the last one ({WINDOW})",
     )
     how.add_argument(
         "--executor", metavar="|".join(EXECUTORS), help=f"executor of rclpy ({EXECUTORS[0]})"
@@ -134,13 +146,19 @@ def _parser() -> Parser:
     how.add_argument(
         "--timeout",
         metavar="S",
-        help=f"longest time without progress, in s ({TIMEOUT})",
+        help=f"time without progress after which the flight fails, in s ({TIMEOUT})",
     )
     how.add_argument(
-        "--no-respawn", action="store_true", help="end the flight when a process of it is killed"
+        "--no-respawn",
+        action="store_true",
+        help="if a process is killed, end the flight instead of restarting the process",
     )
     how.add_argument("--network", action="store_true", help=NETWORK_HELP)
-    how.add_argument("--record-stages", action="store_true", help="record RK4 stages too")
+    how.add_argument(
+        "--record-stages",
+        action="store_true",
+        help="also record the messages of the Runge-Kutta stages",
+    )
     how.add_argument("--no-record", action="store_true", help="fly without a bag")
     return parser
 

@@ -23,8 +23,8 @@ def add_law_option(parser: argparse.ArgumentParser, bag: str) -> None:
         "--law",
         metavar="FILE",
         action="append",
-        help=f"with {bag}: a file with a law of the flight (or the name of an installed law); its "
-        "digest must be the recorded one; may be repeated",
+        help=f"with {bag}: the file with a forcing law of the flight, unchanged, or the name of an "
+        "installed law; may be repeated",
     )
 
 

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
     from flock_sim.recording.output_directory import Output
     from flock_sim.recording.run import Run
 
+DESCRIPTION = """\
+Fly a flock in one loop, without ROS, record it as a rosbag2 bag, and print its metrics. The
+recorded states are the same as those of ./flock fly, to the bit.
+Lengths are in b (half the standard wing span), speeds in U_min (the speed of least drag of the
+standard bird), times in b/U_min (0.042 s for the default bird, a Canada goose).
+Exit status: 0 flown; 1 the flight failed; 2 bad input; 130 Ctrl-C."""
+
 EXAMPLES = """\
   ./flock reference --birds 7 --t-max 1e5
   ./flock reference --output runs/reference && ./flock compare runs/demo runs/reference
@@ -34,9 +41,7 @@ EXAMPLES = """\
 
 def tool(arguments: Sequence[str]) -> int:
     """Integrate a flock as one system, record it, and print its report."""
-    parser = Parser(
-        "reference", "Fly a flock in one loop, without ROS, with the same bits as fly.", EXAMPLES
-    )
+    parser = Parser("reference", DESCRIPTION, EXAMPLES)
     add_flock_options(parser)
     parser.add_argument(
         "--repeat",

@@ -45,17 +45,21 @@ NAMES = {
 """The results, and their names in the table."""
 
 DESCRIPTION = f"""\
-Find the best order of birds of unequal span: the fastest, the fastest that can fly in formation,
-and the firmest, which has the largest margin: the least distance of the share of any set of birds
-in the drag saved between it and the others from 0 or 1. An order and its mirror image are one; it
-is printed with the smaller end first. Of orders that differ by rounding only (1e-12), the
-lexicographically smallest is printed. Birds whose spans sum to 1 or less can't be neighbours.
-Up to 2,000,000 orders (10 different birds) are all computed, and those that can fly are counted.
-Beyond, nearest neighbours are searched by branch and bound, with a proof that no order is better,
-up to 17 different birds, or more if some are equal. The method is then "exact", too. Otherwise
-(all-to-all coupling, more birds, or a proof that takes more than two minutes) it is "local
-search", a heuristic: its result may not be the best. `flying` is null in JSON where orders are not
-counted; a result is null if there is none.
+Find the best order of birds of unequal span: the fastest order, the fastest order that can fly in
+formation, and the firmest order, which has the largest margin. For the margin, take the share of a
+set of birds in the drag saved between this set and the other birds. The margin is the smallest
+distance of such a share from 0 or 1, over all sets.
+An order and its mirror image are the same; the smaller end is printed first. If orders differ by
+rounding only (1e-12), the lexicographically smallest one is printed. Two birds whose span ratios
+sum to 1 or less can't be neighbours.
+The search has three methods:
+  Up to 2,000,000 orders (10 different birds): all are computed, and those that can fly are counted.
+  The method is called "exact".
+  More orders, nearest-neighbour coupling, up to 17 different birds or more if some are equal:
+  branch and bound, which proves that no order is better. The method is called "exact", too.
+  All other flocks, and those whose proof takes more than two minutes: a heuristic, which may not
+  find the best order. The method is called "local search".
+In JSON, `flying` is null if orders are not counted, and a result is null if there is none.
 Number of birds: 2 to {MOST_BIRDS["nearest"]}, with all-to-all coupling {MOST_BIRDS["all"]}.
 Exit status: 0, whether an order can fly or not; 2 bad input."""
 

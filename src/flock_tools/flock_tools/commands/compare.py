@@ -48,7 +48,7 @@ def tool(arguments: Sequence[str]) -> int:
         "--tolerance",
         metavar="X",
         help="largest absolute difference, in dimensionless units, of position, speed, circulation "
-        "and interaction drag that counts as equal (not given: bit for bit)",
+        "and interaction drag that counts as equal (without it: equal bit for bit)",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)

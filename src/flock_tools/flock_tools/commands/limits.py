@@ -76,19 +76,20 @@ LEAST_RESOLUTION = 1e-12
 """Smallest --resolution: below it, rounding stops the bisection of a span ratio."""
 
 DESCRIPTION = """\
-Find the interval of the span ratio lambda, one bird modified at a time, in which the flock can fly
-in formation, and the gap that opens at each end. With --of thrust, find the interval of T/T_0: how
-much thrust a bird may lose or add. T_0 is the usual thrust of that bird, lambda^4 k (U_0^2 +
-U_0^-2); its span and all other birds stay as they are. A bird that needs no thrust (T = 0) glides.
-exact: by the existence of the steady state.
-integrate: by the paper's protocol: the flight starts from the V of the homogeneous flock, has steps
-of --dt, and the flock holds if sigma_U < 1e-4 at --t-max: the paper's criterion, not the verdict
-of metrics. Bisection to --resolution.
-fly: by the same protocol, flown over ROS 2 by the birds' nodes: a grid of --points span ratios for
-each modified bird, all of them members of one flight. An end lies half way between two of them.
-Limits of thrust are exact only: --method integrate and fly are for span ratios.
-If the flock is its own mirror image, only birds of the left wing are modified. --dt and --t-max are
-for integrate and fly; --perturb has no effect; all links have to be exact.
+Find out how far the span of one bird can differ before the flock can't fly in formation any more.
+The result is an interval of its span ratio lambda, and the gap that opens at each end. Birds are
+modified one at a time. With --of thrust, the result is an interval of T/T_0: how much thrust a bird
+can lose or add. T_0 = lambda^4 k (U_0^2 + U_0^-2) is the usual thrust of that bird. Its span and
+all other birds stay as they are. A bird with T = 0 glides.
+Methods (--method):
+  exact      from the existence of the steady state
+  integrate  by flights as in the paper, without ROS: a flight begins with the V of the homogeneous
+             flock, and the flock holds if sigma_U < 1e-4 at --t-max. This is the criterion of the
+             paper, not the verdict of metrics. The limit is found by bisection to --resolution.
+  fly        by the same flights over ROS 2: --points span ratios of each modified bird, all of them
+             members of one flight. A limit lies half way between two of them.
+Only exact limits exist for --of thrust. Only integrate and fly use --dt, --t-max and --forcing.
+All links are exact. If the flock is its own mirror image, only birds of the left wing are modified.
 An end outside the searched interval is printed as "below" or "above" it, and is null in JSON.
 Exit status: 0, whether limits exist or not; 1 a flight failed; 2 bad input."""
 
@@ -146,7 +147,7 @@ def _parser() -> Parser:
         "--of",
         metavar="|".join(QUANTITIES),
         default="span",
-        help="what of a bird is modified: its span ratio, or its thrust (span)",
+        help="quantity of a bird that is modified: its span ratio, or its thrust (span)",
     )
     limits.add_argument(
         "--method", metavar="|".join(METHODS), default="exact", help="how limits are found (exact)"
@@ -175,12 +176,14 @@ def _parser() -> Parser:
         f"those before the bisection ({ENDS})",
     )
     limits.add_argument(
-        "--processes", metavar="P", help=f"for fly: processes for the birds ({PROCESSES})"
+        "--processes",
+        metavar="P",
+        help=f"for fly: number of processes that the birds share ({PROCESSES})",
     )
     limits.add_argument(
         "--timeout",
         metavar="S",
-        help=f"for fly: longest standstill before giving up, in s ({TIMEOUT})",
+        help=f"for fly: time without progress after which the flight fails, in s ({TIMEOUT})",
     )
     limits.add_argument(
         "--bag", metavar="DIR", type=Path, help="for fly: keep the bag in this new directory"

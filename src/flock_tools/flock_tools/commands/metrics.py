@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from flock_sim.recording.run import Run
 
 DESCRIPTION = """\
-Print the metrics of a recorded flight: does the flock hold, its spacings, its drag saved. The
-verdict is holds, settling, apart or stalled (docs/model.md); stable is the paper's criterion.
+Print the metrics of a recorded flight: verdict, speeds, spacings and drag saved. The verdict says
+whether the flock holds together: holds, settling, apart or stalled (docs/model.md). `stable` is the
+criterion of the paper: sigma_U, the spread of the speeds, is below 1e-4 U_min.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min.
-For a free flight, also the age of the data that the birds used, and the deviation from the same
-flight in lockstep, which is integrated for this purpose."""
+For a free flight, the tool also prints the age of the data that the birds used, and the deviation
+from the same flight in lockstep, which it computes for the comparison."""
 
 EXAMPLES = """\
   ./flock metrics runs/demo
@@ -36,7 +37,8 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--over",
         metavar="T",
-        help="average over the time T before, in b/U_min (a tenth of the time flown)",
+        help="length of the time before, over which means are taken, in b/U_min (a tenth of the "
+        "time flown)",
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON on stdout")
     options = parser.parse_args(arguments)

@@ -42,7 +42,10 @@ def tool(arguments: Sequence[str]) -> int:
     parser = Parser("play", DESCRIPTION, EXAMPLES)
     parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag, or .mcap file")
     parser.add_argument(
-        "--rate", metavar="X", default="1", help="recorded seconds per second (1); 0: no waiting"
+        "--rate",
+        metavar="X",
+        default="1",
+        help="recorded seconds per second (1); 0: as fast as possible",
     )
     parser.add_argument(
         "--start",

@@ -35,9 +35,10 @@ MOST_TO_ALL = 201
 
 DESCRIPTION = """\
 Compute how a flock in steady flight responds to small disturbances: whether changes of the leader's
-speed are amplified from bird to bird (string stability), how far gaps move at most per acceleration
-(the H-infinity norm), and with --gust how hard white gusts shake it. With --lag, birds know their
-neighbours a constant time late.
+speed are amplified from bird to bird (string stability), the largest amplitude of the gaps over
+that of the accelerations that cause it (the H-infinity norm), and with --gust the standard
+deviations in white gusts. With --lag, each bird uses the states of its neighbours a constant time
+late.
 Lengths are in b (half the standard wing span), speeds in U_min, times in b/U_min, frequencies omega
 in U_min/b; the gap i is between birds i and i + 1.
 The flock is not flown: links are exact, and there is no forcing.
@@ -99,7 +100,9 @@ def _parser() -> Parser:
     add_flock_options(parser, FLIGHT, refused=("links", "forcing"))
     group = parser.add_argument_group("response")
     group.add_argument(
-        "--lag", metavar="TAU", help="constant time by which birds know their neighbours late (0)"
+        "--lag",
+        metavar="TAU",
+        help="constant time by which the states of neighbours are late, in b/U_min (0)",
     )
     group.add_argument(
         "--link-model",

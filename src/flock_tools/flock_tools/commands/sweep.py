@@ -174,9 +174,7 @@ def _parser() -> Parser:
     )
     result.add_argument("--force", action="store_true", help="replace the sweep in --output")
     result.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
-    how = parser.add_argument_group(
-        "how it is flown", "none of these options changes a bit of the result"
-    )
+    how = parser.add_argument_group("how it is flown", "these options do not change the results")
     how.add_argument(
         "--members-at-once",
         metavar="M",
@@ -184,12 +182,14 @@ def _parser() -> Parser:
         help=f"members of one flight, at most ({AT_ONCE})",
     )
     how.add_argument(
-        "--processes", metavar="P", help=f"over ROS 2: processes for the birds ({PROCESSES})"
+        "--processes",
+        metavar="P",
+        help=f"over ROS 2: number of processes that the birds share ({PROCESSES})",
     )
     how.add_argument(
         "--timeout",
         metavar="S",
-        help=f"over ROS 2: longest time without progress, in s ({TIMEOUT})",
+        help=f"over ROS 2: time without progress after which a flight fails, in s ({TIMEOUT})",
     )
     how.add_argument("--reference", action="store_true", help="fly without ROS, on all cores")
     add_scheduler_option(how, "flies, with --reference")
