@@ -21,7 +21,7 @@ OPERATION = {
     "run_id": Parameter(
         0, "number of the run; 0: the number that the clock has", least=0, most=2**63 - 1, nodes=ALL
     ),
-    "window": Parameter(64, "steps that birds may be granted ahead; 1 is lockstep", nodes=CLOCK),
+    "window": Parameter(64, "steps that the clock grants in advance; 1: lockstep", nodes=CLOCK),
     "record": Parameter(True, "whether the clock waits for a recorder", nodes=CLOCK),
     "record_stages": Parameter(
         False, "whether Runge-Kutta stages are recorded too", nodes=CLOCK + RECORDER
@@ -35,7 +35,7 @@ OPERATION = {
     ),
     "timeout": Parameter(600.0, "longest time without progress, in s", nodes=ALL),
     "real_time_factor": Parameter(
-        0.0, "speed of a free flight over real time; 0: lockstep", least=0, nodes=ALL
+        0.0, "speed of a free flight: simulated over real time; 0: lockstep", least=0, nodes=ALL
     ),
 }
 """The parameters by name."""

@@ -127,10 +127,8 @@ def status(birds: Sequence[BirdNode]) -> Status:
 
 _main = run_node(
     "bird",
-    "One bird as a ROS 2 node. It begins to fly when its neighbours and the clock are present.\n\n"
-    "parameters: index (1..N), run_id, timeout (s without progress), executor (events|single),\n"
-    "real_time_factor (the same for all nodes: a free flight at this factor), and all keys of\n"
-    "the configuration file.",
+    "Run one bird of a flock as a ROS 2 node. It begins to fly when its neighbours and the clock\n"
+    "are present.",
     "  ./flock bird --ros-args -p index:=3 --params-file flock.yaml\n"
     "  ros2 run flock_sim bird --ros-args -p index:=1 -p birds:=3 -p t_max:=100.0",
     work,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 
-from flock_sim.configuration.operation import OPERATION, declared_by
+from flock_sim.configuration.operation import declared_by
 from flock_sim.messages import topics
 from flock_sim.messages.epochs import first_epoch
 from flock_sim.messages.handshake import run_id_of
@@ -40,14 +40,10 @@ def work(process: Process) -> None:
 
 _main = run_node(
     "clock",
-    "The clock of a flock as a ROS 2 node: waits until all birds (and the recorder) are present,\n"
-    "grants steps, publishes the simulated time, and ends with the flight. If it is killed and\n"
-    "started again with the same parameters, the flight continues.\n\n"
-    f"parameters: window ({OPERATION['window'].default}; 1 is lockstep), "
-    "record (true: wait for a recorder), record_stages,\n"
-    "run_id, timeout (s without progress), executor (events|single), and all keys of the\n"
-    "configuration file.\n\n"
-    "services: ~/pause, ~/resume, ~/stop (std_srvs/Trigger), ~/step and ~/perturb\n"
+    "Run the clock of a flock as a ROS 2 node. It waits until all birds and the recorder are\n"
+    "present, grants steps, publishes the simulated time, and ends with the flight. If it is\n"
+    "killed and started again with the same parameters, the flight continues.\n"
+    "Its services are ~/pause, ~/resume, ~/stop (std_srvs/Trigger), ~/step and ~/perturb\n"
     "(flock_interfaces/Step and Perturb).",
     "  ./flock clock --ros-args --params-file flock.yaml\n"
     "  ./flock clock --timeout 20 --ros-args -p birds:=3 -p record:=false\n"

@@ -98,13 +98,9 @@ def _own(process: Process, output: Path, owned: ExitStack) -> tuple[bool, bool]:
 
 _main = run_node(
     "recorder",
-    "The recorder of a flock as a ROS 2 node: writes a rosbag2 bag (MCAP) of one flight and ends\n"
-    "with it.\n\n"
-    "parameters: output (a directory), force (replace an existing bag) or resume (continue an\n"
-    "existing bag, or begin one), played (record what ./flock play publishes, in a bag as\n"
-    "reference writes it; give it the configuration of the played flight), record_stages, run_id,\n"
-    "timeout (s without progress), executor (events|single), and all keys of the configuration\n"
-    "file.",
+    "Run the recorder of a flock as a ROS 2 node. It writes a rosbag2 bag (MCAP) of one flight,\n"
+    "and ends with the flight. With played:=true and the configuration of the played flight, it\n"
+    "records what ./flock play publishes, in a bag as ./flock reference writes it.",
     "  ./flock recorder --ros-args -p output:=runs/mine --params-file flock.yaml\n"
     "  ./flock recorder --ros-args -p output:=runs/mine -p resume:=true --params-file flock.yaml\n"
     "  ./flock recorder --ros-args -p output:=runs/again -p played:=true --params-file flock.yaml",

@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.configuration.operation import OPERATION, declared_by
 from flock_sim.console.arguments import Parser, note, positive_number, run_tool
 from flock_sim.console.signals import SUPERVISED, Stop, end_with_parent
 from flock_sim.console.stdout import results_only_on_stdout
@@ -99,7 +100,8 @@ def run_node(
     """Return the `main` of a node executable that does `work` and exits with its status."""
 
     def tool(arguments: Sequence[str]) -> int:
-        parser = Parser(f"{name} --ros-args", description, examples)
+        told = f"{description}\n\n{_parameters(name)}"
+        parser = Parser(f"{name} --ros-args", told, examples)
         parser.prog = f"./flock {name}"
         parser.usage = (
             f"./flock {name} [-h] [--timeout S] [--network] "
@@ -135,6 +137,17 @@ def run_node(
         return run_tool(tool, arguments)
 
     return main
+
+
+def _parameters(name: str) -> str:
+    """Return the help on the parameters of the operation of a node."""
+    lines = ["parameters, besides the keys of the configuration file:"]
+    for key in declared_by(name):
+        parameter = OPERATION[key]
+        default = str(parameter.default).lower().removesuffix(".0")
+        given = "" if key in ("index", "output") else f" ({default})"
+        lines.append(f"  {key:17} {parameter.meaning}{given}")
+    return "\n".join(lines)
 
 
 def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:

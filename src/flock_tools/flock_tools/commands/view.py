@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from flock_tools.scene.viewer import Viewer
 
 DESCRIPTION = """\
-Show a flock that is being flown or played, in 3D and SI units: birds of true span, coloured by the
-drag they save; their wakes, coloured by the upward air speed; their trails in the formation; and
-the upward air speed on a plane behind the flock. These topics are for RViz or any Foxglove bridge:
+Show a flock that is flown or played, in 3D and SI units: birds of true span, coloured by the drag
+that they save; their wakes, coloured by the upward air speed; their trails in the formation; and
+the upward air speed on a plane behind the flock. RViz or any Foxglove bridge can show the topics
 
   /flock/view/markers      visualization_msgs/MarkerArray, in the frame flock
   /flock/view/upwash       sensor_msgs/Image, 32FC1: upwash behind the flock, in m/s
