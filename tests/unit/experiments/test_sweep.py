@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import itertools
+import re
+import sys
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -24,6 +26,7 @@ from flock_sim.links.registry import MODELS
 from flock_sim.recording.flight_writer import recording
 from flock_sim.reference.integrator import Reference
 from flock_tools.commands.sweep import tool
+from flock_tools.experiments.sweep import runner
 from flock_tools.experiments.sweep.axes import axis
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES, dataset, netcdf, recorded
 from flock_tools.experiments.sweep.directory import SweepDirectory
@@ -435,6 +438,24 @@ def test_what_is_flown_is_not_flown_again_and_what_is_another_flight_is_refused(
     assert fly_all(swept.flights(5), directory, ["--no-such-option"]) == 0
     with pytest.raises(FlockError, match="is not the bag of flight 1 of this sweep"):
         fly_all(asked({"span_ratio[2]": [0.95, 1.01]}).flights(5), directory, [])
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_the_time_left_is_told_on_a_terminal_once_a_flight_was_flown(
+    terminal: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(runner, "_fly", lambda arguments, lock: 0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    flights = asked({"span_ratio[2]": [0.95, 1.0, 1.1]}).flights(1)
+    assert fly_all(flights, SweepDirectory(tmp_path), []) == 3
+    told = [
+        bool(re.search(r", about \d+:\d\d:\d\d left$", line))
+        for line in capsys.readouterr().err.splitlines()
+    ]
+    assert told == [False, terminal, terminal]
 
 
 def test_members_of_the_dataset_are_those_that_fly_alone(tmp_path: Path) -> None:
