@@ -28,8 +28,8 @@ GROUPS = {
     "Predict": {
         "equilibrium": "solve for the steady state of a flock: existence, spacings, stability",
         "limits": "find the span ratios or thrusts of one bird with which a flock can fly",
-        "response": "compute how a flock responds to disturbances",
         "arrange": "find the order of unequal birds that is fastest, or firmest",
+        "response": "compute how a flock responds to disturbances",
         "survey": "count how many random flocks can fly in formation",
         "figures": "compute and draw the figures of the paper",
     },
