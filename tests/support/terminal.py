@@ -306,9 +306,13 @@ def ports(pid: int) -> set[int]:
 
 
 def lives(pid: int) -> bool:
-    """Whether a process runs. A zombie, whose status no process has read, does not run."""
+    """Whether a process runs.
+
+    A zombie, whose status no process has read, does not run. Neither does a process that the kernel
+    is ending: it has given back its memory, and with it its command line.
+    """
     try:
-        return _status(pid)[0] not in "ZX"
+        return _status(pid)[0] not in "ZX" and Path(f"/proc/{pid}/cmdline").read_bytes() != b""
     except OSError:
         return False
 

@@ -54,6 +54,7 @@ def fly(
     bird: Callable[..., BirdNode] = BirdNode,
     timeout: float = 60.0,
     output: str | Path | None = None,
+    force: bool = False,
     **parameters: Any,
 ) -> xr.Dataset:
     """Fly a flock over ROS 2 in this process. Return what `flock_tools.runs.dataset.load` returns.
@@ -65,9 +66,9 @@ def fly(
     flight has a ROS domain of its own, and discovery stays on this machine. `parameters` are keys
     of the configuration file. They override `configuration`. `bird` creates all birds: BirdNode or
     a replacement, such as a subclass; the bag names its class. With `output` the
-    bag is kept there. The environment, temporary files and shared memory are restored afterwards.
-    Other ROS contexts of the process are not touched. Only one such flight may run at a time,
-    because the flight changes the environment of the process.
+    bag is kept there; with `force` it replaces another one. The environment, temporary files and
+    shared memory are restored afterwards. Other ROS contexts of the process are not touched. Only
+    one such flight may run at a time, because the flight changes the environment of the process.
 
     Raises FlockError on bad input, RunFailed after `timeout` s of standstill, and any exception of
     your own birds.
@@ -83,11 +84,13 @@ def fly(
         warm_links(flown)  # compiles now, so that no bird makes the others wait
     with tempfile.TemporaryDirectory(prefix="flock-") as temporary:
         bag = Path(temporary) / "flight" if output is None else Path(output)
-        with own_output(bag, force=False):
+        with own_output(bag, force) as owned:
             machines = [machine_with_ros()]
             with (
                 ros_alone() as context,
-                recording(bag, flown, grants=True, machines=machines) as run,
+                recording(
+                    bag, flown, grants=True, machines=machines, replace=owned.replaces
+                ) as run,
             ):
                 _fly(flown, bird, timeout, run, context)
             return load(bag)

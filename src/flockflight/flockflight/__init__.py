@@ -3,11 +3,11 @@
 
     import flockflight as ff
 
-    flock = ff.Flock(spans={3: 0.95, 11: 0.95})
+    flock = ff.Flock(spans={3: 0.98, 11: 0.98})
     flock.equilibrium()                                       # exact, without flying
     flock.run()                                               # a flight in one loop
     flock.fly()                                               # the same flight over ROS 2
-    flock.sweep({"link.delay": [0, 10, 20]}).run()            # a flight for each value
+    flock.sweep({"span_ratio[4]": [0.98, 1.0, 1.02]}).run()   # a flight for each value
 
 Results are `xarray.Dataset`s. `table` turns one into a table. Only `Flock.fly` needs ROS 2. Each
 name is imported when it is first used.

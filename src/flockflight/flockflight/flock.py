@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
-from flock_sim.errors import FlockError
+from flock_sim.configuration.flock_configuration import KEYS, LISTS, FlockConfiguration
+from flock_sim.errors import FlockError, nearest
+from flock_sim.links.keys import KEYS as LINK_KEYS
 from flock_tools.experiments.sweep import specification
 from flock_tools.experiments.sweep.dataset import coordinates
 from flockflight import flights, results
@@ -30,7 +30,7 @@ class Flock:
 
         Flock()                                            # thirteen equal geese
         Flock(7, coupling="all", t_max=1e5)
-        Flock(spans={3: 0.95, 11: 0.95})                   # two smaller birds
+        Flock(spans={3: 0.98, 11: 0.98})                   # two smaller birds
         Flock(spans={4: np.linspace(0.9, 1.1, 21)})        # 21 members: independent flocks
         Flock(5, links=Link("hold", delay=5), forcing=[Force("gust", std=2e-5)])
 
@@ -53,13 +53,13 @@ class Flock:
         `coupling` is "nearest" or "all". `spans` has the wing spans of birds over the standard
         span: a dictionary by number (from 1, at the end of the left wing), or one value for each
         bird, which then tell `birds`. `links`, `forcing` and `pushes` are one entry or several.
-        `keys` are other keys of the configuration file, such as t_max, dt or record_every.
+        `keys` are other keys of the configuration file, such as t_max, dt or record_every. A
+        verdict needs a t_max of 6791 b/U_min or more, for the standard bird.
 
         Raises FlockError on a value that is out of range, or an unknown key.
         """
-        for key, name in LISTED.items():
-            if key in keys:
-                raise FlockError(f"{key} is called `{name}` here")
+        for key in keys:
+            _check_key(key)
         if birds is None:
             rows = (
                 None if spans is None or isinstance(spans, Mapping) else len(np.atleast_1d(spans))
@@ -135,19 +135,22 @@ class Flock:
         """Return the best orders of this flock's birds: the fastest, and the firmest."""
         return results.arrangement(self._single("arrange"))
 
-    def run(self, output: str | Path | None = None) -> xr.Dataset:
+    def run(self, output: flights.Output = None, *, force: bool = False) -> xr.Dataset:
         """Fly in one loop, without ROS 2. Return all recorded states, and the verdict.
 
-        The result equals that of `fly` bit for bit. With `output`, the bag is kept there.
+        The result equals that of `fly` bit for bit. With `output`, the bag is kept there; `force`
+        replaces another one.
         """
-        return flights.run(self.configuration, output)
+        return flights.run(self.configuration, output, force)
 
-    def fly(self, output: str | Path | None = None, *, timeout: float = 60.0) -> xr.Dataset:
+    def fly(
+        self, output: flights.Output = None, *, force: bool = False, timeout: float = 60.0
+    ) -> xr.Dataset:
         """Fly over ROS 2 in this process, every bird a node. Return the same as `run`.
 
         Raises FlockError if ROS 2 is not here, RunFailed after `timeout` s of standstill.
         """
-        return flights.fly(self.configuration, output, timeout)
+        return flights.fly(self.configuration, output, force, timeout)
 
     def _single(self, what: str) -> FlockConfiguration:
         """Return the configuration. Raises FlockError if it is of several members."""
@@ -170,14 +173,18 @@ class Flock:
 class Sweep:
     """A flock with values along axes. Results have a dimension for each axis.
 
-        sweep = Flock(7).sweep({"span_ratio[2]": np.linspace(0.95, 1.05, 41), "link.delay": [0, 5]})
+        flock = Flock(7, links=Link("hold"))
+        sweep = flock.sweep({"span_ratio[2]": np.linspace(0.95, 1.05, 41), "link.delay": [0, 5]})
         sweep.run().verdict
 
     The name of a dimension is that of the axis without brackets and dots, such as span_ratio_2.
     """
 
     def __init__(self, flock: Flock, axes: Mapping[str, Any]) -> None:
-        """Vary `flock` along `axes`. Raises FlockError, which names the axis, on a bad value."""
+        """Vary `flock` along `axes`. Raises FlockError on an unknown axis.
+
+        Flocks are made, and their values checked, when something is computed.
+        """
         given = flock.configuration.parameters()
         given = {key: value for key, value in given.items() if key not in axes}
         values = {name: np.asarray(value).tolist() for name, value in axes.items()}
@@ -198,13 +205,14 @@ class Sweep:
         """Return the linear responses of all flocks, as `Flock.response`."""
         return self._computed("response", results.responses(lag, link_model, gust))
 
-    def run(self, output: str | Path | None = None) -> xr.Dataset:
+    def run(self, output: flights.Output = None, *, force: bool = False) -> xr.Dataset:
         """Fly all flocks in one loop each, without ROS 2, on all cores; return their ends.
 
         With `output`, the results are written to sweep.nc there as they come, and an interrupted
-        sweep goes on from them.
+        sweep goes on from them; `force` replaces another sweep. Raises FlockError, which names the
+        flock, if one can't be flown.
         """
-        return flights.run_all(self.plan, output)
+        return flights.run_all(self.plan, output, force)
 
     def _computed(self, what: str, computation: results.Computation) -> xr.Dataset:
         parts = []
@@ -213,3 +221,14 @@ class Sweep:
             parts.append((flight.members, computation(flight.configuration)))
         about = {"configuration": self.plan.text()}
         return results.dataset(parts, self.plan.flock.birds, coordinates(self.plan), about)
+
+
+def _check_key(key: str) -> None:
+    """Raise FlockError, which names the right one, if `key` is no argument of `Flock`."""
+    if key in LISTED:
+        raise FlockError(f"{key} is called `{LISTED[key]}` here")
+    if key in LINK_KEYS:
+        raise FlockError(f"{key} is of a link: pass links=Link(MODEL, {key}=...)")
+    if key not in KEYS:
+        known = [*LISTED.values(), *(name for name in KEYS if name not in LISTED)]
+        raise FlockError(f"unknown argument {key!r}: {nearest(key, known)}")

@@ -105,8 +105,8 @@ def responses(lag: float, model: str, gust: float | None) -> Computation:
     if model not in MODELS:
         raise FlockError(f"link_model = {model!r}: {nearest(str(model), MODELS)}")
     for name, value in (("lag", lag), ("gust", 0.0 if gust is None else gust)):
-        if not 0.0 <= value < np.inf:
-            raise FlockError(f"{name} = {value}: must be finite, and 0 or more")
+        if np.ndim(value) or not 0.0 <= float(value) < np.inf:
+            raise FlockError(f"{name} = {value}: must be one number, finite, and 0 or more")
 
     def response(configuration: FlockConfiguration) -> Values:
         found = linear_response(Flock.of(configuration), lag=lag, model=model, gust=gust)
@@ -131,12 +131,16 @@ def limits(
 
     if of not in BETWEEN:
         raise FlockError(f"of = {of!r}: {nearest(str(of), tuple(BETWEEN))}")
+    if between is not None and np.shape(between) != (2,):
+        raise FlockError(f"between = {between}: must be two numbers, such as {BETWEEN[of]}")
     low, high = BETWEEN[of] if between is None else map(float, between)
     if not 0.0 <= low < high < np.inf:
         raise FlockError(f"between = ({low:g}, {high:g}): must be 0 or more, and ascending")
-    given = [birds] if isinstance(birds, int) else birds
-    chosen = modified_birds(configuration) if given is None else list(given)
+    given = modified_birds(configuration) if birds is None else np.atleast_1d(np.asarray(birds))
+    chosen = [one.item() if isinstance(one, np.generic) else one for one in given]
     for bird in chosen:
+        if not isinstance(bird, int):
+            raise FlockError(f"bird {bird!r}: must be a whole number from 1")
         if bird not in range(1, configuration.birds + 1):
             raise FlockError(f"bird {bird} is not among 1..{configuration.birds}")
     search = exact_limits if of == "span" else exact_thrust_limits
@@ -232,6 +236,8 @@ def table(result: xr.Dataset, *names: str) -> pd.DataFrame:
     Without `names` its columns are the variables of the axes of a sweep, without those of single
     birds or gaps; for one flock, the variables of birds.
     """
+    if not isinstance(result, xr.Dataset):
+        raise FlockError(f"{result!r} is no result: compute one, such as by run() or equilibrium()")
     if not names:
         common = {dim for dim in result.sizes if dim not in (BIRD, GAP, TIME)}
         for dims in (common, common | {BIRD}, common | {BIRD, TIME}):

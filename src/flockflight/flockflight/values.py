@@ -51,6 +51,10 @@ class Force:
 
     def __init__(self, law: str, *, bird: int | None = None, **values: Any) -> None:
         """Describe a force on all birds, or on `bird`."""
+        if bird is not None and not isinstance(bird, Integral):
+            raise FlockError(
+                f"Force: bird = {bird!r}: must be one whole number, or left out for all"
+            )
         self.text = ("" if bird is None else f"{bird}=") + _model("Force", law, values)
 
     def __repr__(self) -> str:

@@ -103,6 +103,41 @@ def test_a_run_is_the_flight_of_reference_to_the_bit(tmp_path: Path) -> None:
     assert ff.load(tmp_path / "kept", start=8, end=24, stride=2).step.values.tolist() == [8, 16, 24]
 
 
+def test_a_run_replaces_another_on_request_only(tmp_path: Path) -> None:
+    flock, other = ff.Flock(2, t_max=30), ff.Flock(3, t_max=30)
+    flock.run(tmp_path / "run")
+    with pytest.raises(ff.FlockError, match="exists: pass force=True to replace it"):
+        other.run(tmp_path / "run")
+    assert ff.load(tmp_path / "run").sizes["bird"] == 2
+    other.run(tmp_path / "run", force=True)
+    assert ff.load(tmp_path / "run").sizes["bird"] == 3
+    flock.sweep({"span_ratio[2]": [1.0, 1.01]}).run(tmp_path / "sweep")
+    longer = ff.Flock(2, t_max=60).sweep({"span_ratio[2]": [1.0, 1.01]})
+    with pytest.raises(ff.FlockError, match=r"differs\): pass force=True"):
+        longer.run(tmp_path / "sweep")
+    longer.run(tmp_path / "sweep", force=True)
+
+
+def test_a_sweep_runs_each_flock_as_it_runs_alone() -> None:
+    flock = ff.Flock(4, t_max=200, links=ff.Link("hold"), forcing=ff.Force("gust", std=1e-5))
+    found = flock.sweep({"link.delay": [0, 4], "span_ratio[2]": [0.98, 1.0]}).run()
+    described(found)
+    for delay in (0, 4):
+        for ratio in (0.98, 1.0):
+            alone = ff.Flock(
+                4,
+                spans={2: ratio},
+                t_max=200,
+                links=ff.Link("hold", delay=delay),
+                forcing=ff.Force("gust", std=1e-5),
+            ).run()
+            point = found.sel(link_delay=delay, span_ratio_2=ratio)
+            np.testing.assert_array_equal(point.position, alone.position[-1])
+            np.testing.assert_array_equal(point.drag_reduction, alone.drag_reduction[-1])
+            assert point.verdict.item() == alone.verdict.item() == "settling"
+            assert "too short" in alone.verdict_reason.item()
+
+
 def test_a_run_has_the_drag_saved_and_the_verdict() -> None:
     flock = ff.Flock(5, t_max=40_000, record_every=100)
     found, steady = flock.run(), flock.equilibrium()
@@ -150,7 +185,13 @@ def test_theory_refuses_what_it_does_not_know() -> None:
         (lambda: ff.Flock().limits(of="spam"), "did you mean 'span'"),
         (lambda: ff.Flock().limits([1, 14]), "bird 14 is not among 1..13"),
         (lambda: ff.Flock().limits(between=(1.2, 0.8)), r"between = \(1.2, 0.8\)"),
-        (lambda: ff.Flock().response(lag=-1.0), "lag = -1.0: must be finite, and 0 or more"),
+        (lambda: ff.Flock().response(lag=-1.0), "lag = -1.0: must be one number, finite, and 0"),
+        (lambda: ff.Flock().response(lag=np.array([0, 1])), r"lag = \[0 1\]: must be one number"),
+        (lambda: ff.Flock().limits(2.5), "bird 2.5: must be a whole number"),
+        (lambda: ff.Flock().limits("3"), "bird '3': must be a whole number"),
+        (lambda: ff.Flock().limits(between=0.5), "between = 0.5: must be two numbers"),
+        (lambda: ff.table(ff.Flock()), "is no result: compute one"),
+        (lambda: ff.Flock().sweep({"delay": [0, 1]}), "did you mean 'link.delay'"),
         (lambda: ff.Flock().response(gust=np.nan), "gust = nan"),
         (lambda: ff.Flock().response(link_model="hodl"), "did you mean 'hold'"),
         (lambda: ff.Flock().sweep({"span_ratoi[2]": [1]}), "span_ratio"),

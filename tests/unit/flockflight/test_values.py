@@ -67,7 +67,9 @@ def test_links_forces_and_pushes_are_entries_of_the_configuration() -> None:
         ({"birds": 3, "spans": [1, 1]}, r"spans of shape \(2,\): must have one row for each"),
         ({"spans": [[[1]]]}, r"shape \(1, 1, 1\)"),
         ({"coupling": "all-to-all"}, "all"),
-        ({"t_mx": 3}, "did you mean 't_max'"),
+        ({"t_mx": 3}, "unknown argument 't_mx': did you mean 't_max'"),
+        ({"span": {3: 0.9}}, "did you mean 'spans'"),
+        ({"delay": 5}, r"delay is of a link: pass links=Link\(MODEL, delay=...\)"),
         ({"span_ratios": ["3=1"]}, "span_ratios is called `spans` here"),
         ({"perturbations": []}, "perturbations is called `pushes` here"),
         ({"links": 5}, "links = 5: must be a list of Link or of text"),
@@ -89,5 +91,7 @@ def test_a_link_has_both_ends_or_none() -> None:
         ff.Link("hold", source=3)
     with pytest.raises(ff.FlockError, match="must be the name of a model"):
         ff.Link(5)  # type: ignore[arg-type]
+    with pytest.raises(ff.FlockError, match=r"bird = \[1, 2\]: must be one whole number"):
+        ff.Force("gust", std=1, bird=[1, 2])  # type: ignore[arg-type]
     with pytest.raises(ff.FlockError, match="std = None: must be a number"):
         ff.Force("gust", std=None)

@@ -27,7 +27,24 @@ def fly(flock: FlockConfiguration) -> Reference:
 # source -> words of the message
 REFUSED = [
     ("def law(bird): return 'much'", ["it returns", "must be a number, the force, or (force,"]),
-    ("def law(bird): pass", ["it returns none", "must be a number"]),
+    ("def law(bird): pass", ["on some path it returns nothing", "must be a number"]),
+    (
+        "def law(bird):\n  if bird.speed > 1: return 1.0",
+        ["on some path it returns nothing", "must be a number"],
+    ),
+    (
+        "import numpy as np\ndef law(bird): return np.random.randn()",
+        ["draws random numbers of its own", "take the argument `noise`"],
+    ),
+    (
+        "from random import gauss\ndef law(bird): return draw()\ndef draw(): return gauss(0, 1)",
+        ["draws random numbers of its own"],
+    ),
+    ("def law(bird):\n  print(f'{bird.speed:.3f}')\n  return 0.0", ["format spec in f-strings"]),
+    (
+        "import numpy as np\ndef law(bird): return np.clip(bird.speed, -1.0, 1.0)",
+        ["clip", "signature: ", "float64", "laws.py", "line"],
+    ),
     ("def law(bird): return bird.speed > 1", ["it returns bool", "must be a number"]),
     ("def law(bird): return 1j * bird.speed", ["it returns complex128", "must be a number"]),
     ("def law(neighbours): return neighbours.speed", ["it returns", "array", "must be a number"]),

@@ -107,7 +107,11 @@ class BirdForcing:
         law = self._names[self.words[frame.FAULT_TERM]]
         member = int(self.words[frame.FAULT_MEMBER])
         if fault == frame.RAISED:
-            return f"bird {self.bird}, step {step}: the law {law!r} has raised an exception"
+            count = self.lateral.shape[1]
+            return (
+                f"bird {self.bird}, step {step}: the law {law!r} has raised an exception; the "
+                f"bird has {count} neighbour{'s' * (count != 1)}"
+            )
         of = f" in member {member}" if len(self.force) > 1 else ""
         return (
             f"bird {self.bird}, step {step}: the law {law!r} returns nan or inf{of}, although the "

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -17,11 +18,13 @@ import numpy as np
 from flock_sim.errors import FlockError
 from flock_sim.forcing import frame
 from flock_sim.forcing.law import GIVEN, Bird, Law, Neighbours, Signature, signature_of
-from flock_sim.physics.compile import ADDRESS, anew, checked, kernel
+from flock_sim.physics.compile import ADDRESS, anew, checked, kernel, plain_callees
 from flock_sim.physics.compiler import numba
 from flock_sim.physics.dynamics import canonical
 from flock_sim.physics.kernel_cache import PACKAGE
 from flock_sim.physics.runge_kutta import NODES, STAGES
+
+UnsupportedBytecodeError = numba.core.errors.UnsupportedBytecodeError
 
 MOST_STATES = 16
 """Most numbers of state of a law."""
@@ -67,6 +70,7 @@ def call(_: Any, address: Any, words: Any, term: Any, tick: Any, dt: Any) -> Any
 def compiled_law(law: Law) -> CompiledLaw:
     """Compile a law. Raises FlockError, of one line, if it can't be compiled or is no law."""
     signature = signature_of(law)
+    _check_repeatable(law)
     plain = checked(law)
     states = _states_of(_result_of(plain, signature))
     if not states and {"state", "step_state"} & {*signature.given}:
@@ -128,8 +132,9 @@ def _result_of(law: Any, signature: Signature) -> Any:
     types = tuple(numba.typeof(examples.get(name, 1.0)) for name in order)
     try:
         law.compile(types)
-    except (numba.core.errors.NumbaError, TypeError) as error:
-        raise FlockError(f"numba can't compile it: {_reason(error)}") from error
+    except (numba.core.errors.NumbaError, UnsupportedBytecodeError, TypeError) as error:
+        file = Path(law.py_func.__code__.co_filename).name
+        raise FlockError(f"numba can't compile it: {_reason(error, file)}") from None
     return law.overloads[types].signature.return_type
 
 
@@ -152,17 +157,43 @@ def _states_of(result: Any) -> int:
                 "return the force alone"
             )
         return len(result[1])
+    if isinstance(result, (types.Optional, types.NoneType)):
+        raise FlockError(f"on some path it returns nothing: must be a number, or {WITH_STATE}")
     raise FlockError(f"it returns {result}: must be a number, the force, or {WITH_STATE}")
 
 
-def _reason(error: Exception) -> str:
-    """Return in one line why numba could not compile a law."""
+def _check_repeatable(law: Law) -> None:
+    """Raise FlockError if a law, or a function of its file, draws random numbers of its own."""
+    functions, seen = [law], set()
+    while functions:
+        function: Any = functions.pop()
+        if function in seen:
+            continue
+        seen.add(function)
+        functions += plain_callees(function)
+        used = [function.__globals__.get(name) for name in function.__code__.co_names]
+        if "random" in function.__code__.co_names or any(
+            str(getattr(one, "__module__", "")).startswith(("random", "numpy.random"))
+            for one in used
+        ):
+            raise FlockError(
+                "it draws random numbers of its own, so no flight with it could be repeated: take "
+                "the argument `noise`"
+            )
+
+
+def _reason(error: Exception, file: str) -> str:
+    """Return in one line why numba could not compile a law in `file`."""
     lines = [line.strip() for line in str(error).splitlines()]
     noise = "Failed in", "During:", "-", "^", "File "
     told = next((line for line in lines if line and not line.startswith(noise)), str(error))
     if "setitem" in told and "readonly array" in str(error):
         told = "it writes into an array that it is given"
-    place = next((line for line in lines if line.startswith("File ")), "")
+    call = next((line for line in lines if line.startswith(">>> ")), "")
+    if told.endswith("signature:") and call:
+        told = f"{told} {call.removeprefix('>>> ')}"
+    places = [line for line in lines if line.startswith("File ")]
+    place = next((line for line in reversed(places) if file in line), (places or [""])[0])
     return f"{told} ({place.rstrip(':')})" if place else told
 
 

@@ -51,14 +51,14 @@ def pointer(_: Any, address: Any) -> Any:
 
 
 def _compiled(function: Function, **options: bool) -> Function:
-    _let_kernels_call(_plain_callees(function))
+    _let_kernels_call(plain_callees(function))
     compiled: Function = numba.njit(**RULES, **options)(function)
     if _can_be_kept(function):
         compiled._cache = KernelCache(function)  # type: ignore[attr-defined]
     return compiled
 
 
-def _plain_callees(function: Any) -> Iterator[FunctionType]:
+def plain_callees(function: Any) -> Iterator[FunctionType]:
     """Yield the functions of this package, and of its own module, that a plain function calls."""
     for name in function.__code__.co_names:
         callee = function.__globals__.get(name)
@@ -73,7 +73,7 @@ def _let_kernels_call(functions: Iterable[FunctionType], **options: bool) -> Non
     for function in functions:
         if function not in _CALLABLE:
             _CALLABLE.add(function)
-            _let_kernels_call(_plain_callees(function), **options)
+            _let_kernels_call(plain_callees(function), **options)
             own = {} if _is_ours(function) else options
             numba.extending.register_jitable(**RULES, **own, forceinline=True)(function)
 
@@ -106,7 +106,7 @@ def _anew(
     # numba numbers functions of equal names in each process, and code from disk has the number of
     # another process. Code with the name and the number of this copy would be run instead of it.
     copy.__qualname__ = f"anew.{plain.__qualname__}"
-    _let_kernels_call(_plain_callees(copy), **options)
+    _let_kernels_call(plain_callees(copy), **options)
     compiled: Function = numba.njit(**RULES, **options)(copy)
     return compiled
 

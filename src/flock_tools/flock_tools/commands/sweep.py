@@ -137,7 +137,10 @@ def _how_flown(options: argparse.Namespace, sweep: Sweep) -> list[str]:
     timeout = TIMEOUT if options.timeout is None else options.timeout
     count = process_count("--processes", processes, sweep.flock.birds, sweep.flock.coupling)
     seconds = positive_number("--timeout", timeout)
-    prepare_discovery()  # fails here, before files are replaced, rather than in each flight
+    try:
+        prepare_discovery()  # fails here, before files are replaced, rather than in each flight
+    except ImportError as error:
+        raise FlockError(f"flights over ROS 2 need ROS 2 ({error}): add --reference") from None
     return ["--processes", str(count), "--timeout", str(seconds)]
 
 
@@ -199,6 +202,8 @@ def _parser() -> Parser:
 def described(sweep: Sweep, found: xr.Dataset, facts: dict[str, Any]) -> str:
     """Return the result as text."""
     from flock_sim.analysis.metrics import STABLE_BELOW
+    from flock_sim.analysis.verdict import shortest_time
+    from flock_sim.physics.scaling import Scales
 
     verdicts = ", ".join(f"{count} {word}" for word, count in facts["verdicts"].items() if count)
     speeds = found.mean_speed.where(found.diverged == 0)
@@ -208,6 +213,11 @@ def described(sweep: Sweep, found: xr.Dataset, facts: dict[str, Any]) -> str:
         f"  sigma_U < {STABLE_BELOW:g}     {facts['holds']} of {facts['members']}",
         f"  diverged             {facts['diverged']}",
     ]
+    least = shortest_time(Scales.of(sweep.flock))
+    if facts["verdicts"]["settling"] and sweep.flock.t_max < least:
+        lines.insert(
+            2, f"                       t_max is too short: a verdict needs {least:.0f} b/U_min"
+        )
     if facts["diverged"] < facts["members"]:
         lines.append(
             f"  mean speed           {float(speeds.min()):.6f} to {float(speeds.max()):.6f} U_min"

@@ -40,6 +40,7 @@ ATTRIBUTES = {
     ),
     "drag_reduction": ("drag saved, over that of the standard bird at cruise", "eta_i", "1"),
     "verdict": ("verdict on the flight up to the last time", "", "1"),
+    "verdict_reason": ("reason of the verdict", "", "1"),
     "forcing_state": ("state of the laws that act on the bird", "", "1"),
     "state_number": ("number of a law's state", "", "1"),
     "span_ratio": ("wing span over that of the standard bird", "lambda_i", "1"),
@@ -59,7 +60,7 @@ def load(
     `position`, `speed`, `circulation`, `interaction_drag`, and the means `mean_speed` and
     `mean_interaction_drag` over all steps since the recorded state before (nan in bags of versions
     that did not record them) and `drag_reduction` have dims (time, bird, member), `verdict`, on the
-    flight up to the last of these times, (member),
+    flight up to the last of these times, and `verdict_reason` (member),
     `span_ratio` and `lateral` (bird, member), `forcing_state`, if laws with a state act on birds,
     (time, bird, state_number, member), the coordinate `step` (time); all dimensionless, with
     `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
@@ -99,12 +100,14 @@ def read(
     times = [configuration.time(row * every) for row in rows]
     values, forcing_states = _values(run, rows)
     ratio = configuration.span_ratio
+    verdicts = run.verdicts(times[-1])
     dims = ("time", "bird", "member")
     dataset = xr.Dataset(
         {name: (dims, values[k]) for k, name in enumerate(ARRAYS)}
         | {
             "drag_reduction": (dims, _drag_reduction(values, configuration)),
-            "verdict": ("member", run.verdicts(times[-1]).verdict),
+            "verdict": ("member", verdicts.verdict),
+            "verdict_reason": ("member", verdicts.verdict_reason),
             "span_ratio": (dims[1:], ratio),
             "lateral": (dims[1:], formation.lateral_positions(ratio)),
         },

@@ -83,7 +83,8 @@ def axis(name: str, given: Any) -> Axis:
     if found is None:
         if name in COMMON:
             raise FlockError(f"{called}: must be the same for all members; give it below `flock:`")
-        raise FlockError(f"{called}: {nearest(name, KNOWN)}")
+        of_a_link = f"did you mean 'link.{name}'?" if name in LINK_KEYS else ""
+        raise FlockError(f"{called}: {of_a_link or nearest(name, KNOWN)}")
     words = name == "coupling" or name.endswith(".model")
     values = _values(called, given, words)
     twice = [value for value in values if values.count(value) > 1] if len(values) < 1000 else []
