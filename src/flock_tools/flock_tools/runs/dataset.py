@@ -70,13 +70,17 @@ def load(
     Raises FlockError if the bag does not exist, is not Flock's, or has nothing at these times.
     """
     with Run(path) as run:
-        return read(run, start, end, stride)
+        found = read(run, start, end, stride)
+        verdicts = run.verdicts(float(found.time[-1]))
+    found["verdict"] = "member", verdicts.verdict
+    found["verdict_reason"] = "member", verdicts.verdict_reason
+    return _described(found)
 
 
 def read(
     run: Run, start: float | None = None, end: float | None = None, stride: int = 1
 ) -> xr.Dataset:
-    """Return the dataset of an open run, as `load` does."""
+    """Return the dataset of an open run, as `load` does, without the verdict."""
     for name, time in (("start", start), ("end", end)):
         if time is not None and not math.isfinite(time):
             raise FlockError(f"{name} = {time}: must be finite, or None for no bound")
@@ -100,14 +104,11 @@ def read(
     times = [configuration.time(row * every) for row in rows]
     values, forcing_states = _values(run, rows)
     ratio = configuration.span_ratio
-    verdicts = run.verdicts(times[-1])
     dims = ("time", "bird", "member")
     dataset = xr.Dataset(
         {name: (dims, values[k]) for k, name in enumerate(ARRAYS)}
         | {
             "drag_reduction": (dims, _drag_reduction(values, configuration)),
-            "verdict": ("member", verdicts.verdict),
-            "verdict_reason": ("member", verdicts.verdict_reason),
             "span_ratio": (dims[1:], ratio),
             "lateral": (dims[1:], formation.lateral_positions(ratio)),
         },
@@ -122,6 +123,11 @@ def read(
     if numbers := forcing_states.shape[2]:
         dataset["forcing_state"] = ("time", "bird", "state_number", "member"), forcing_states
         dataset = dataset.assign_coords(state_number=np.arange(1, numbers + 1))
+    return _described(dataset)
+
+
+def _described(dataset: xr.Dataset) -> xr.Dataset:
+    """Give all variables and coordinates their names, symbols and units."""
     for name, (long_name, symbol, units) in ATTRIBUTES.items():
         if name not in dataset.variables:
             continue  # of a flight without forcing
