@@ -15,6 +15,7 @@ from flock_sim.errors import FlockError, nearest
 from flock_sim.links.keys import KEYS as LINK_KEYS
 from flock_tools.experiments.sweep import specification
 from flock_tools.experiments.sweep.dataset import coordinates
+from flock_tools.runs.dataset import attributes_of
 from flockflight import flights, results
 from flockflight.values import Force, Link, Push, Spans, span_texts, texts
 
@@ -165,7 +166,7 @@ class Flock:
         members = range(flown.members)
         axis = {results.MEMBER: xr.Variable(results.MEMBER, np.arange(1, flown.members + 1))}
         found = results.dataset(
-            [(members, computation(flown))], flown.birds, axis, results.attributes(flown)
+            [(members, computation(flown))], flown.birds, axis, attributes_of(flown)
         )
         return found.squeeze(results.MEMBER, drop=True) if flown.members == 1 else found
 

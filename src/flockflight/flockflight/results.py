@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from flock_sim.configuration.flock_configuration import LISTS, FlockConfiguration
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, nearest
 from flock_sim.physics.flock import Flock
 from flock_sim.response.linear_response import linear_response
 from flock_sim.theory.delayed_linearisation import MODELS
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES as OF_FLIGHTS
 from flock_tools.experiments.sweep.dataset import BIRD, GAP, Values, labelled, put
+from flock_tools.runs.dataset import attributes_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -156,7 +157,7 @@ def limits(
         [(range(len(chosen)), values)],
         configuration.birds,
         axes,
-        {**attributes(configuration), "of": of, "between": [low, high]},
+        {**attributes_of(configuration), "of": of, "between": [low, high]},
     )
 
 
@@ -184,7 +185,7 @@ def arrangement(configuration: FlockConfiguration) -> xr.Dataset:
         [(range(len(orders)), values)],
         configuration.birds,
         {"best": xr.Variable("best", list(known))},
-        {**attributes(configuration), "orders": found.orders, "method": found.method},
+        {**attributes_of(configuration), "orders": found.orders, "method": found.method},
     )
 
 
@@ -200,12 +201,6 @@ def check_undisturbed(configuration: FlockConfiguration, what: str) -> None:
             f"forcing {' '.join(configuration.forcing)}: {what} solves the flight without forces "
             f"besides thrust and drag; {remedy}"
         )
-
-
-def attributes(configuration: FlockConfiguration) -> dict[str, Any]:
-    """Return the configuration as attributes, in types that NetCDF supports."""
-    found = configuration.parameters()
-    return {**found, **{key: " ".join(found[key]) or "none" for key in LISTS}}
 
 
 def dataset(

@@ -187,12 +187,16 @@ def _drag_reduction(values: FloatArray, configuration: FlockConfiguration) -> Fl
     return drag_reduction(drag, Scales.of(configuration).cruise_drag)
 
 
+def attributes_of(configuration: FlockConfiguration) -> dict[str, Any]:
+    """Return the keys of a configuration as attributes, in types that NetCDF supports."""
+    found = configuration.parameters()
+    return {**found, **{key: " ".join(found[key]) or "none" for key in LISTS}}
+
+
 def _attributes(run: Run) -> dict[str, Any]:
     """Return the attributes of the whole run, in types that NetCDF supports."""
     configuration = run.configuration
-    attributes = configuration.parameters()
-    for key in LISTS:  # which NetCDF does not support
-        attributes[key] = " ".join(attributes[key]) or "none"
+    attributes = attributes_of(configuration)
     attributes["leader"] = formation.leader(configuration.birds)
     attributes["second"] = configuration.second
     if run.missing:
