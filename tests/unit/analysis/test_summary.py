@@ -130,9 +130,7 @@ def test_a_bag_of_an_earlier_version_has_no_means() -> None:
     unknown = np.full((3, 1), np.nan)
     state = state_with([2.0, 2.0], configuration, 0)
     state = replace(state, mean_speed=unknown, mean_interaction_drag=unknown)
-    assert "not in this bag, which was recorded by an earlier version" in summary_at(
-        configuration, state
-    )
+    assert "not in this bag, whose states have no means" in summary_at(configuration, state)
 
 
 @pytest.mark.filterwarnings("error")

@@ -13,7 +13,7 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
 from flock_sim.messages.state import MEANS, STATE_ENVELOPE, STATE_HEAD, STATE_NUMBERS_AT, VALUES
-from flock_sim.messages.state_layout import has_means, members_of, values_of
+from flock_sim.messages.state_layout import Layout, layout_of, members_of, values_of
 from flock_sim.messages.types import State
 from flock_sim.recording.run import Run
 from flock_tools.commands import compare, metrics, picture, report
@@ -52,7 +52,7 @@ def test_a_state_without_means_is_decoded(members: int) -> None:
     whole = State.at(FlockConfiguration(), 20, *values, run_id=5, epoch=2).encode()
     data = early(whole, members)
     assert members_of(data) == members
-    assert not has_means(data, members)
+    assert layout_of(data) == Layout(members, None, means=False)
     state = State.decode(data)
     for name, expected in zip(VALUES, values):
         assert np.array_equal(getattr(state, name), expected)
@@ -77,7 +77,7 @@ def test_metrics_say_that_means_are_not_in_the_bag(
 ) -> None:
     before, _ = bags
     assert run_tool(metrics.tool, [str(before)]) == 0
-    words = "not in this bag, which was recorded by an earlier version"
+    words = "not in this bag, whose states have no means"
     assert capsys.readouterr().out.count(words) == 2
     assert run_tool(metrics.tool, [str(before), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

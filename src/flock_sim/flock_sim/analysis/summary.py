@@ -55,7 +55,7 @@ def _member(metrics: Metrics, means: TimeMeans, verdicts: Verdicts, m: int) -> l
 
 def _over_time(means: TimeMeans, m: int) -> str:
     if not means.recorded:
-        return "not in this bag, which was recorded by an earlier version"
+        return "not in this bag, whose states have no means"
     return (
         f"{100 * means.time_mean_drag_reduction[m]:.2f} % of drag saved, speed "
         f"{means.time_mean_speed[m]:.6f} U_min (t = {means.averaged_from:g} to {means.until:g})"

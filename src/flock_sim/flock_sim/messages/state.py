@@ -25,7 +25,13 @@ from flock_sim.messages.cdr import (
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 
-FRAME = "flock"
+FRAME = "world"
+"""The frame of positions: the air is at rest in it, and its x axis is the direction of flight."""
+
+EARLIER_FRAME = "flock"
+"""The same in bags of earlier versions. It is as long, so the layouts are the same."""
+
+FRAMES = {FRAME, EARLIER_FRAME}
 
 BILLION = 1_000_000_000
 
@@ -114,12 +120,13 @@ class State(Message):
         return step_at(State, data, STATE_STEP_AT)
 
     @staticmethod
-    def lengths(members: int, forcing: int = 0) -> struct.Struct:
+    def lengths(members: int, forcing: int = 0, means: bool = True) -> struct.Struct:
         """Return the struct that reads the array lengths of an encoded state of `members`.
 
-        `forcing` is the length of `forcing_state`.
+        `forcing` is the length of `forcing_state`. Without `means`, these arrays are empty.
         """
-        arrays = len(ARRAYS) * _array(members) + _array(forcing)
+        arrays = len(VALUES) * _array(members)
+        arrays += len(MEANS) * (_array(members) if means else _EMPTY) + _array(forcing)
         return struct.Struct(f"<{STATE_HEAD}x{arrays}{STATE_ENVELOPE.size}x")
 
     @staticmethod
@@ -195,6 +202,9 @@ def _array(length: int) -> str:
     return f"I{STATE_NUMBERS_AT - 4}x{8 * length}x"
 
 
+_EMPTY = "I"
+"""Format of an empty array before another array: no padding follows its length."""
+
 STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
 """Run id and epoch, the last fields of a state."""
 _FRAME = len(FRAME) + 1, FRAME.encode()
@@ -207,8 +217,11 @@ _ONE = np.zeros(1)
 _STATE = State(0, 0, FRAME, 0, 0.0, _ONE, _ONE, _ONE, _ONE, _ONE, _ONE)
 STATE_STEP_AT = _STATE.place("step")
 STATE_FRAME_AT = _STATE.place("frame")
-STATE_FRAME = _STATE.encode()[STATE_FRAME_AT:][: 4 + len(FRAME) + 1]
-"""FRAME in a state: its length, its text and a zero."""
+STATE_FRAMES = tuple(
+    struct.pack(f"<I{len(name) + 1}s", len(name) + 1, name.encode())
+    for name in (FRAME, EARLIER_FRAME)
+)
+"""The frames in a state: length, text and a zero."""
 STATE_HEAD = _STATE.place(ARRAYS[0])
 """Size of the fields before the arrays, with the encapsulation."""
 STATE_NUMBERS_AT = _STATE.place(ARRAYS[1]) - STATE_HEAD - 8

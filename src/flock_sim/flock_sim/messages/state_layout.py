@@ -14,8 +14,9 @@ import numpy.typing as npt
 from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.state import (
     ARRAYS,
-    STATE_FRAME,
+    MEANS,
     STATE_FRAME_AT,
+    STATE_FRAMES,
     STATE_HEAD,
     STATE_NUMBERS_AT,
     STATE_STEP_AT,
@@ -26,6 +27,8 @@ from flock_sim.physics.arrays import FloatArray
 
 _COUNT = struct.Struct("<I")
 
+_AFTER_FRAME = STATE_FRAME_AT + len(STATE_FRAMES[0])
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -34,18 +37,20 @@ class Layout:
     members: int
     forcing: int | None = 0
     """Length of `forcing_state`; None: of an earlier version, without means and this field."""
+    means: bool = True
+    """Whether the state has means. Those of a bird by another program may be empty."""
 
     @property
     def arrays(self) -> int:
         """Number of arrays with one value per member."""
-        return len(VALUES if self.forcing is None else ARRAYS)
+        return len(ARRAYS if self.means else VALUES)
 
     @property
     def lengths(self) -> struct.Struct:
         """The struct that reads the array lengths."""
         if self.forcing is None:
             return State.early_lengths(self.members)
-        return State.lengths(self.members, self.forcing)
+        return State.lengths(self.members, self.forcing, self.means)
 
     @property
     def size(self) -> int:
@@ -55,18 +60,19 @@ class Layout:
 
 def layout_of(data: bytes) -> Layout | None:
     """Return the layout of a state; None if it is not Flock's, or has no member."""
-    if not (data.startswith(ENCAPSULATION) and data.startswith(STATE_FRAME, STATE_FRAME_AT)):
+    if not (data.startswith(ENCAPSULATION) and data.startswith(STATE_FRAMES, STATE_FRAME_AT)):
         return None
     if len(data) < STATE_HEAD + _COUNT.size:
         return None
     (members,) = _COUNT.unpack_from(data, STATE_HEAD)
-    found = _layout(len(data), members)
+    if not 0 < 8 * members < len(data):
+        return None
+    means_at = STATE_HEAD + len(VALUES) * (STATE_NUMBERS_AT + 8 * members)
+    means = len(data) < means_at + _COUNT.size or any(_COUNT.unpack_from(data, means_at))
+    found = _layout(len(data), members, means)
     if found is None:
         return None
-    layout, lengths = found
-    expected = layout.arrays * (members,)
-    if layout.forcing is not None:
-        expected += (layout.forcing,)
+    layout, lengths, expected = found
     return layout if lengths.unpack(data) == expected else None
 
 
@@ -76,27 +82,36 @@ def members_of(data: bytes) -> int:
     return layout.members if layout else 0
 
 
-def has_means(data: bytes, members: int) -> bool:
-    """Whether a state whose `members_of` is `members` has means; earlier versions had none."""
-    return len(data) != Layout(members, None).size
-
-
 @lru_cache(maxsize=64)  # the states of a bag usually have one length
-def _layout(size: int, members: int) -> tuple[Layout, struct.Struct] | None:
-    """Return the layout that a state of `size` bytes and `members` has; None if there is none."""
-    if not 0 < 8 * members < size:
-        return None
-    early = Layout(members, None)
-    forcing, rest = divmod(size - Layout(members).size, 8)
-    if size != early.size and (rest or forcing < 0):
-        return None
-    layout = early if size == early.size else Layout(members, forcing)
-    return layout, layout.lengths
+def _layout(
+    size: int, members: int, means: bool
+) -> tuple[Layout, struct.Struct, tuple[int, ...]] | None:
+    """Return the layout of a state of `size` bytes, and the lengths of its arrays, with a struct.
+
+    Returns None if there is no such layout.
+    """
+    layout = Layout(members, None, means=False)
+    lengths = len(VALUES) * (members,)
+    if size != layout.size:
+        forcing, rest = divmod(size - Layout(members, 0, means).size, 8)
+        if rest or forcing < 0:
+            return None
+        layout = Layout(members, forcing, means)
+        lengths += len(MEANS) * (members if means else 0,) + (forcing,)
+    return layout, layout.lengths, lengths
 
 
 def same_head(one: bytes, other: bytes) -> bool:
-    """Return whether two states are equal up to their arrays, and thus of one step."""
-    return one[:STATE_HEAD] == other[:STATE_HEAD] and one.startswith(STATE_FRAME, STATE_FRAME_AT)
+    """Return whether two states are equal up to their arrays, and thus of one step.
+
+    Both names of the frame mean the same.
+    """
+    return (
+        one[:STATE_FRAME_AT] == other[:STATE_FRAME_AT]
+        and one[_AFTER_FRAME:STATE_HEAD] == other[_AFTER_FRAME:STATE_HEAD]
+        and one.startswith(STATE_FRAMES, STATE_FRAME_AT)
+        and other.startswith(STATE_FRAMES, STATE_FRAME_AT)
+    )
 
 
 def step_of(data: bytes) -> int:
@@ -108,6 +123,12 @@ def steps_of(states: Sequence[bytes]) -> npt.NDArray[np.int64]:
     """Return the steps of states that all have `members_of` above 0, shape (states,)."""
     steps = b"".join(state[STATE_STEP_AT : STATE_STEP_AT + 8] for state in states)
     return np.frombuffer(steps, dtype="<u8").astype(np.int64)
+
+
+def times_of(states: Sequence[bytes]) -> FloatArray:
+    """Return the times of such states, shape (states,)."""
+    at = STATE_STEP_AT + 8
+    return np.frombuffer(b"".join(state[at : at + 8] for state in states), dtype="<f8")
 
 
 def values_of(states: Sequence[bytes], members: int) -> FloatArray:
@@ -159,6 +180,8 @@ def _alike(states: Sequence[bytes]) -> list[tuple[list[int], Layout]]:
 def _fields(layout: Layout) -> np.dtype[np.void]:
     array = np.dtype([("count", f"V{STATE_NUMBERS_AT}"), ("values", "<f8", (layout.members,))])
     head = STATE_HEAD + layout.arrays * array.itemsize
+    if layout.forcing is not None and not layout.means:
+        head += len(MEANS) * _COUNT.size  # the lengths of the empty arrays
     return np.dtype(
         {
             "names": ["step", "time", "arrays", "forcing"],

@@ -12,7 +12,14 @@ from flock_sim.bag.reading.reader import BagReader
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages.state import STATE_STEP_AT, VALUES
-from flock_sim.messages.state_layout import fields_of, layout_of, members_of
+from flock_sim.messages.state_layout import (
+    fields_of,
+    layout_of,
+    members_of,
+    steps_of,
+    times_of,
+    values_of,
+)
 from flock_sim.messages.types import State
 
 Message = tuple[str, int, bytes]
@@ -80,16 +87,21 @@ class RowDigest:
     def _hash(self) -> None:
         """Hash the rows that wait; all are left out if a state is not in Flock's layout."""
         states, self._waiting = self._waiting, []
-        block = b"".join(states)
         layout = layout_of(states[0]) if states else None
-        alike = layout is not None and all(len(state) == layout.size for state in states)
-        if layout and alike and layout.members == self._members:
-            step, time, values = fields_of(block, layout)
-            values = values[:, : len(VALUES)]
-            first = slice(None, None, self._birds)  # the state of bird 1 has step and time
-            rows = values.reshape(-1, self._birds, *values.shape[1:]).swapaxes(1, 2)
-            self._digest.add_rows(step[first].astype(np.int64), time[first], rows)
-            self._hashed += len(rows)
+        if layout is None or layout.members != self._members:
+            return
+        if all(len(state) == layout.size for state in states):
+            step, time, values = fields_of(b"".join(states), layout)
+        elif all(members_of(state) == self._members for state in states):
+            step, time = steps_of(states).astype(np.uint64), times_of(states)
+            values = values_of(states, self._members)
+        else:
+            return
+        values = values[:, : len(VALUES)]
+        first = slice(None, None, self._birds)  # the state of bird 1 has step and time
+        rows = values.reshape(-1, self._birds, *values.shape[1:]).swapaxes(1, 2)
+        self._digest.add_rows(step[first].astype(np.int64), time[first], rows)
+        self._hashed += len(rows)
 
 
 def digest_of(bag: BagReader, configuration: FlockConfiguration) -> RowDigest:

@@ -16,7 +16,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import in_order
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
-from flock_sim.messages.state import ARRAYS, MEANS, VALUES
+from flock_sim.messages.state import ARRAYS, FRAMES, MEANS, VALUES
 from flock_sim.messages.state_layout import layout_of, same_head, step_of, steps_of, values_of
 from flock_sim.messages.types import BILLION, State
 from flock_sim.physics.arrays import FloatArray
@@ -270,7 +270,7 @@ def _unlike_heads(one: State, other: State) -> Iterator[Unlike]:
     stamps = [state.seconds * BILLION + state.nanoseconds for state in (one, other)]
     if stamps[0] != stamps[1]:
         yield "header.stamp", None, (stamps[0], stamps[1])
-    if one.frame != other.frame:
+    if one.frame != other.frame and not {one.frame, other.frame} <= FRAMES:
         yield "header.frame_id", None, (one.frame, other.frame)
     if one.step != other.step:
         yield "step", None, (one.step, other.step)

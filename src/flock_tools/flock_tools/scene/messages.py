@@ -12,13 +12,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from flock_sim.messages.cdr import ENCAPSULATION, align, put
-from flock_sim.messages.state import FRAME
+from flock_sim.messages.state import FRAME as WORLD
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.scene.shapes import Kind, Scene, Shape
 from flock_tools.scene.snapshot import Snapshot
 
-WORLD = "world"
-"""The frame in which the air is at rest. Its x is the position in the birds' states."""
+FRAME = "flock"
+"""The frame that moves with the leader: x forward, y to the left, z up, in m. Its origin in WORLD,
+in which the air is at rest, is the leader's position."""
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
 IMAGE = "sensor_msgs/msg/Image"
