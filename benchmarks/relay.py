@@ -88,7 +88,7 @@ def main() -> None:
     kind = sys.argv[1]
     birds, steps, first, last = (int(word) for word in sys.argv[2:])
     prepare_discovery()
-    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context = ros_context()
     with executing("events", context) as executor:
         nodes = [
             RelayNode(bird, birds, 4 * steps, kind == "direct", context)

@@ -39,7 +39,7 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context
     with own_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         tell_fast_dds(monkeypatch)
-        made = ros_context(["--ros-args", "--disable-external-lib-logs"])
+        made = ros_context()
         try:
             yield made
         finally:

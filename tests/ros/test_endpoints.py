@@ -141,12 +141,16 @@ def test_a_drained_subscription_is_hidden_from_executors_and_taken_by_hand(
 
 
 def test_a_node_without_services_has_no_endpoints_but_its_own(context: Context) -> None:
-    bird = BirdNode(2, CONFIGURATION, context=context, first=None)
-    own = {topics.wing_topic(2), topics.stage_topic(2), topics.state_topic(2)}
-    assert {p.topic_name for p in bird.publishers} == {*own, topics.PROGRESS_TOPIC}
-    known = bird.get_publisher_names_and_types_by_node("bird_02", "/flock")
-    assert {name for name, _ in known} == {*own, topics.PROGRESS_TOPIC}
-    bird.destroy_node()
+    """The first bird of a process also has what all birds of the process share."""
+    first = BirdNode(1, CONFIGURATION, context=context)
+    bird = BirdNode(2, CONFIGURATION, context=context, first=first)
+    for node, number, shared in ((first, 1, {topics.PROGRESS_TOPIC}), (bird, 2, set())):
+        own = {f(number) for f in (topics.wing_topic, topics.stage_topic, topics.state_topic)}
+        assert {p.topic_name for p in node.publishers} == own | shared
+        known = node.get_publisher_names_and_types_by_node(node.get_name(), "/flock")
+        assert {name for name, _ in known} == own | shared | ({"/rosout"} if shared else set())
+    for node in (bird, first):
+        node.destroy_node()
     served = DrainedNode("served", context=context)
     assert "/parameter_events" in {p.topic_name for p in served.publishers}
     served.destroy_node()

@@ -25,7 +25,7 @@ from flock_sim.ros.fetch import let_fetch
 from flock_sim.ros.process import ros_context
 
 prepare_discovery()
-context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+context = ros_context()
 node = DrainedNode("talker", context=context, start_parameter_services=False, enable_rosout=False)
 assert let_fetch(["/fetched"], float(sys.argv[1]))
 assert let_fetch(["/fetched"], float(sys.argv[1]))

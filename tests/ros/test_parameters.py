@@ -68,7 +68,7 @@ def asker(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, terminal.environment[name])
     tell_fast_dds(monkeypatch)
-    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context = ros_context()
     node = Node("asker", context=context, start_parameter_services=False, enable_rosout=False)
     try:
         yield node

@@ -23,8 +23,6 @@ from support.visitor import tell_fast_dds
 DEADLINE = 60.0
 """Time, in s, in which two nodes find each other."""
 
-QUIET = ["--ros-args", "--disable-external-lib-logs"]
-
 
 def node_of(context: Context, name: str) -> Node:
     return Node(name, context=context, start_parameter_services=False, enable_rosout=False)
@@ -44,7 +42,7 @@ def wait_for_publishers(count: int, node: Node) -> None:
 def test_who_is_about_to_leave_is_told_of_nobody_any_more(context: Context) -> None:
     # Told, by a thread of its own, it could wait for itself for ever: so it is on this that the
     # mend of Fast DDS rests. It learns of neither ends nor beginnings.
-    others = [ros_context(QUIET) for _ in range(2)]
+    others = [ros_context() for _ in range(2)]
     one = node_of(context, "one")
     two, three = node_of(others[0], "two"), None
     try:

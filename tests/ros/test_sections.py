@@ -34,7 +34,7 @@ def written(path: Path, found: dict[str, dict[str, Any]]) -> Path:
 def given(name: str, *arguments: str | Path) -> tuple[FlockConfiguration, dict[str, Any]]:
     """What a node process with these ROS arguments is told; `context` sees to the environment."""
     words = ["--ros-args", "--disable-external-lib-logs", *map(str, arguments)]
-    context = ros_context(words)
+    context = ros_context(words, quiet=False)
     try:
         with parameter_reader(name, context) as reader:
             return what_is_given(name, reader, words)

@@ -135,7 +135,7 @@ def visiting(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Iterator[Vi
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, terminal.environment[name])
     tell_fast_dds(monkeypatch)
-    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context = ros_context()
     visitor = Visitor(terminal, context)
     try:
         yield visitor

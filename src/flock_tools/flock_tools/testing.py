@@ -109,7 +109,7 @@ def ros_alone() -> Iterator[Context]:
                 raise RunFailed("every ROS domain is in use: end other flights first")
             os.environ[DOMAIN] = str(domain)
             prepare_discovery()
-            context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+            context = ros_context()
             try:
                 yield context
             finally:

@@ -34,6 +34,7 @@ from flock_sim.errors import FlockError, nearest
 from flock_sim.launcher.flight import WINDOW, Plan, begin_bag, fly, on_ros
 from flock_sim.launcher.partition import partition, process_count
 from flock_sim.ros.discovery import NETWORK_HELP
+from flock_sim.ros.ros_arguments import namespace, split
 
 if TYPE_CHECKING:
     from flock_sim.commands.resume import Resumable
@@ -44,6 +45,7 @@ Fly a flock over ROS 2, record it as a rosbag2 bag, and print its metrics. Each 
 which computes its own motion from the messages of its neighbours.
 Lengths are in b (half the standard wing span), speeds in U_min (the speed of least drag of the
 standard bird), times in b/U_min (0.042 s for the default bird, a Canada goose).
+--ros-args at the end begins ROS arguments for all nodes, such as a namespace or a log level.
 Exit status: 0 flown; 1 the flight failed; 2 bad input; 130 Ctrl-C, after which --resume continues
 the flight."""
 
@@ -54,12 +56,15 @@ EXAMPLES = """\
   ./flock fly --config flock.yaml --output runs/mine --force
   ./flock fly --forcing gust:std=2e-5 --forcing my_laws.py:keeper:gap=0.8
   ./flock fly --resume runs/mine                      continues a flight that was cut short
-  ./flock fly --mode free --t-max 500                 21 s in which no bird waits for another"""
+  ./flock fly --mode free --t-max 500                 21 s in which no bird waits for another
+  ./flock fly --ros-args -r __ns:=/left               topics /left/bird_01/state and so on"""
 
 
 def tool(arguments: Sequence[str]) -> int:
     """Fly a flock over ROS 2, record it, and print its report."""
+    arguments, ros_arguments = split(arguments)
     options = _parser().parse_args(arguments)
+    options.ros_arguments = tuple(ros_arguments)
     if not options.resume:
         if options.law:
             raise FlockError(LAW_WITHOUT_BAG)
@@ -141,6 +146,11 @@ def _parser() -> Parser:
         f"all birds have finished the last one ({WINDOW})",
     )
     how.add_argument(
+        "--clock-every",
+        metavar="K",
+        help="steps between two messages of /clock; 0: only recorded steps (0)",
+    )
+    how.add_argument(
         "--executor", metavar="|".join(EXECUTORS), help=f"executor of rclpy ({EXECUTORS[0]})"
     )
     how.add_argument(
@@ -198,7 +208,12 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
         real_time_factor=factor,
         told=told,
         from_file=tuple(key for key in ("timeout", "executor") if getattr(options, key) is None),
+        clock_every=OPERATION["clock_every"].checked(
+            "--clock-every", _said(options.clock_every, clock.get("clock_every", 0))
+        ),
+        ros_arguments=options.ros_arguments,
     )
+    topics.clock_depth(configuration, plan.clock_every)  # raises FlockError if it is too deep
     if options.config:
         with named(options.config):
             for birds in partition(configuration.birds, processes):
@@ -215,7 +230,8 @@ def _told(options: argparse.Namespace, resumed: Resumable | None) -> FlightParam
     if not options.config:
         return FlightParameters(flock_configuration(options))
     with named(options.config):
-        return of_flight(options.config, flock_parameters(options))
+        parameters = flock_parameters(options)
+        return of_flight(options.config, parameters, namespace(options.ros_arguments))
 
 
 def _recorded(

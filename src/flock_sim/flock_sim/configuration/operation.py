@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,6 +23,9 @@ OPERATION = {
         0, "number of the run; 0: the number that the clock has", least=0, most=2**63 - 1, nodes=ALL
     ),
     "window": Parameter(64, "steps that the clock grants in advance; 1: lockstep", nodes=CLOCK),
+    "clock_every": Parameter(
+        0, "steps between two messages of /clock; 0: only recorded steps", least=0, nodes=CLOCK
+    ),
     "record": Parameter(True, "whether the clock waits for a recorder", nodes=CLOCK),
     "record_stages": Parameter(
         False, "whether Runge-Kutta stages are recorded too", nodes=CLOCK + RECORDER
@@ -45,9 +49,11 @@ DEFAULTS = {name: parameter.default for name, parameter in OPERATION.items()}
 OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Parameters of every ROS 2 node, which Flock does not use."""
 
-QOS = "qos_overrides."
-OURS = (f"{QOS}/flock/", f"{QOS}/clock.publisher.", f"{QOS}/diagnostics.publisher.")
-"""Prefixes of overrides of the quality of service that concern Flock's topics."""
+OURS = re.compile(
+    r"qos_overrides\.(/(\w+/)*(bird_\d+/\w+|clock/grant|progress|checkpoint|perturbation)\.|"
+    r"/flock/|/(clock|diagnostics)\.publisher\.)"
+)
+"""Beginning of overrides of the quality of service that concern Flock's topics."""
 
 
 def declared_by(node: str) -> tuple[str, ...]:
@@ -70,7 +76,7 @@ def parted(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
             operation[key] = OPERATION[key].typed(key, value)
         elif key in KEYS:
             flown[key] = value
-        elif key.startswith(OURS):
+        elif OURS.match(key):
             raise FlockError(
                 f"parameter {key!r}: the quality of service of Flock's topics must not change, "
                 "since messages would be lost; leave it out"

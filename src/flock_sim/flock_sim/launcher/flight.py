@@ -56,6 +56,10 @@ class Plan:
     """Operating parameters of the nodes from a parameter file."""
     from_file: tuple[str, ...] = ()
     """Keys of these parameters that options do not set."""
+    clock_every: int = 0
+    """Steps between two messages of /clock; 0: only recorded steps."""
+    ros_arguments: tuple[str, ...] = ()
+    """ROS arguments of all nodes."""
 
     @property
     def timeout_of_others(self) -> float:
@@ -110,7 +114,9 @@ def fly(plan: Plan) -> dict[str, Any]:
         "real_time_factor": plan.real_time_factor,
     }
     server = preloaded_server(links=bool(configuration.links))
-    with Supervisor(configuration.parameters(), plan.respawn, server) as supervisor:
+    with Supervisor(
+        configuration.parameters(), plan.respawn, server, plan.ros_arguments
+    ) as supervisor:
         if plan.output is not None:
             recorder = {
                 **common,
@@ -146,9 +152,10 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
         plan.output is not None,
         plan.record_stages,
         factor=plan.real_time_factor,
+        clock_every=plan.clock_every,
     )
     furthest = -1
-    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context = ros_context(plan.ros_arguments)
     try:
         with (
             executing(plan.executor, context) as executor,
@@ -163,7 +170,7 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
                 show(max(keeper.step, 0))
                 supervisor.check(furthest)
 
-            depth = topics.depth(topics.CLOCK_TOPIC, configuration)
+            depth = topics.clock_depth(configuration, plan.clock_every)
             clock = ClockNode(keeper, depth, context=context)
             operation = {**vars(plan), "run_id": run_id, "record": plan.output is not None}
             declare(clock, configuration, operation, declared_by("clock"))

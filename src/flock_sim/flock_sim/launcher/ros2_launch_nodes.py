@@ -54,7 +54,8 @@ class Flight:
         """Read the `known` arguments of the launch. Raises FlockError if one is wrong."""
         refuse_others(context.argv, list(known))
         given = context.launch_configurations
-        self.arguments = Arguments.read({name: given[name] for name in known})
+        texts = {name: given[name] for name in known}
+        self.arguments = Arguments.read(texts, given.get("ros_namespace", ""))
         # The run id separates the birds of flights, but recorded data does not show its flight.
         prepare_discovery()
         self.held = ExitStack()
@@ -125,6 +126,7 @@ class Flight:
             package="flock_sim",
             executable=executable,
             exec_name=who,
+            namespace=self.arguments.namespace or None,
             prefix=self._prefix,
             output="screen",
             ros_arguments=words,

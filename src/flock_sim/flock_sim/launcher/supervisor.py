@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 
@@ -34,6 +34,7 @@ class _ChildProcess:
     module: str
     parameters: tuple[int, int]  # descriptors of its files of parameters
     to_the_end: bool
+    ros_arguments: Sequence[str]
     deaths: int = 0  # since the flight reached `progress`
     progress: int = -1
     process: subprocess.Popen[bytes] | Child = field(init=False)
@@ -46,7 +47,7 @@ class _ChildProcess:
     @property
     def arguments(self) -> list[str]:
         """Its command line."""
-        words = ["--ros-args", "--disable-external-lib-logs"]
+        words = [*self.ros_arguments, "--ros-args"]
         for file in self.parameters:
             words += ["--params-file", f"/proc/self/fd/{file}"]
         return words
@@ -60,14 +61,16 @@ class Supervisor:
         parameters: Mapping[str, object],
         respawn: bool = False,
         server: ForkServer | None = None,
+        ros_arguments: Sequence[str] = (),
     ) -> None:
-        """Give every process the ROS `parameters`, in addition to its own.
+        """Give every process the ROS `parameters`, in addition to its own, and `ros_arguments`.
 
         `respawn`: restart killed processes. `server` forks the processes and is closed at the end.
         Without one, or once it is gone, each process is a new one.
         """
         self._parameters = _file(parameters)
         self._respawn = respawn
+        self._ros_arguments = ros_arguments
         self._server = server
         self._children: list[_ChildProcess] = []
         self.deaths = 0
@@ -80,7 +83,8 @@ class Supervisor:
 
         `to_the_end`: it still has work when the flight is over, and must end with status 0.
         """
-        child = _ChildProcess(who, module, (self._parameters, _file(parameters)), to_the_end)
+        files = self._parameters, _file(parameters)
+        child = _ChildProcess(who, module, files, to_the_end, self._ros_arguments)
         with ending_deferred():
             child.process = self._run(child)
             self._children.append(child)

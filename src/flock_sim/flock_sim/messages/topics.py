@@ -8,6 +8,9 @@ from flock_sim.errors import FlockError
 from flock_sim.physics.runge_kutta import STAGES
 
 NAMESPACE = "/flock"
+"""The default namespace of the nodes of a flock. The names below are those of a flock in it, and
+those in a bag."""
+
 CLOCK_TOPIC = "/clock"
 GRANT_TOPIC = f"{NAMESPACE}/clock/grant"
 PROGRESS_TOPIC = f"{NAMESPACE}/progress"
@@ -31,6 +34,11 @@ that all birds of a large flock make per second."""
 
 STATE_BYTES_AHEAD = 4 * 2**20
 """Room, in bytes, for the states of a flock in transit to the recorder."""
+
+
+def relative(topic: str) -> str:
+    """Return the name of a flock's topic within the namespace of its nodes."""
+    return topic.removeprefix(f"{NAMESPACE}/")
 
 
 def bird_name(bird: int) -> str:
@@ -85,6 +93,28 @@ def steps_ahead(configuration: FlockConfiguration, record_stages: bool) -> int:
             f"record_every = {every}: must be {room // 2} or less where stages are recorded"
         )
     return min(steps, room)
+
+
+MOST_TIMES = 2**16
+"""Largest depth of the queue of /clock."""
+
+
+def clock_depth(configuration: FlockConfiguration, every: int) -> int:
+    """Return the depth of the queue of /clock, which has every `every`th step and recorded ones.
+
+    `every` 0 means recorded steps only. Raises FlockError if the depth would be above MOST_TIMES.
+    """
+    rows = depth(CLOCK_TOPIC, configuration)
+    if not every:
+        return rows
+    between = configuration.record_every // every
+    if rows * (1 + between) > MOST_TIMES:
+        least = -(-configuration.record_every // (MOST_TIMES // rows - 1))
+        raise FlockError(
+            f"clock_every = {every}: must be 0, or {least} or more with record_every = "
+            f"{configuration.record_every}"
+        )
+    return rows * (1 + between)
 
 
 def depth(topic: str, configuration: FlockConfiguration) -> int:

@@ -70,7 +70,7 @@ class BirdNode(DrainedNode):
             namespace=topics.NAMESPACE,
             context=context,
             start_parameter_services=services,
-            enable_rosout=services,
+            enable_rosout=first is None,
         )
         self.protocol = protocol or BirdProtocol(bird, configuration, run_id, new_incarnation())
         """The state machine of this bird."""
@@ -79,7 +79,7 @@ class BirdNode(DrainedNode):
         self._exchange: CompiledExchange | None = None
         outlets = outlets or _outlets(bird, configuration)
         fetched = [topic for channel, (_, topic) in outlets.items() if channel in FETCHED]
-        let_fetch(fetched, topics.fetch_period(configuration))
+        let_fetch(map(self.own_topic, fetched), topics.fetch_period(configuration))
         self._outlets = {
             channel: self.create_publisher(kind, topic, latched(topics.depth(topic, configuration)))
             for channel, (kind, topic) in outlets.items()
@@ -104,7 +104,7 @@ class BirdNode(DrainedNode):
         }
         self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
         self._rejection_warnings = RejectionWarnings(
-            self.get_name(), self.protocol.ignored_for, self.told
+            self, self.protocol.ignored_for, self.told, logger=first or self
         )
         if isinstance(self.protocol, BirdProtocol):
             inlets = [inlet.subscription for inlet in self._stages.values()]

@@ -21,6 +21,7 @@ from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
 from flock_sim.protocol.free_flight import check_free
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import wait_until_heard
+from flock_sim.ros.late_parameters import LateParameters
 from flock_sim.ros.parameters import declare
 from flock_sim.ros.process import Process, executing, run_node
 from flock_sim.ros.spin import keep_flying
@@ -43,18 +44,23 @@ def work(process: Process) -> None:
                 f"index = {index}: must be 1..{configuration.birds}; give it as -p index:=1"
             )
     with executing(operation["executor"], process.context) as executor:
-        alone = len(indices) == 1
+        by_hand = len(indices) == 1 and not process.supervised
         free = bool(operation["real_time_factor"])
         kind, keep = _free(process) if free else (BirdNode, keep_flying)
         birds = create_birds(
-            indices, configuration, operation["run_id"], executor, kind=kind, services=alone
+            indices, configuration, operation["run_id"], executor, kind=kind, services=by_hand
         )
-        if alone:
-            operation = {**operation, "index": indices[0]}
-            declare(birds[0], configuration, operation, declared_by("bird"))
+
+        def declare_parameters(bird: BirdNode) -> None:
+            own = {**operation, "index": bird.protocol.bird}
+            declare(bird, configuration, own, declared_by("bird"))
+
+        if by_hand:
+            declare_parameters(birds[0])
+        late = LateParameters([] if by_hand else birds, declare_parameters)
         process.settle()
         gc.freeze()  # these objects stay, so the collector need not scan them
-        fly_together(birds, executor, process.stop, process.watchdog(), keep)
+        fly_together(birds, executor, process.stop, process.watchdog(birds[0]), keep, late)
         wait_until_heard((o for bird in birds for o in bird.outlets), process.stop, FAREWELL)
 
 
@@ -93,18 +99,40 @@ def fly_together(
     stop: Stop,
     watchdog: Watchdog,
     keep: Keep = keep_flying,
+    late_parameters: LateParameters | None = None,
 ) -> None:
     """Fly the birds of one process by `keep` to the end, or until `stop`.
 
-    Raises RunFailed when `watchdog` runs out.
+    `late_parameters` creates their parameter services in flight. Raises RunFailed when `watchdog`
+    runs out.
     """
     announcements, diagnostics = Announcements(birds), Diagnostics(birds[0])
+    log = birds[0].get_logger()
+    names = _names(birds)
+    log.info(f"{names} waits for the flight to begin")
+    in_flight = False
 
     def look_around() -> bool:
+        nonlocal in_flight
+        if not in_flight and all(bird.protocol.in_flight for bird in birds):
+            in_flight = True
+            log.info(f"{names} is in flight")
+            if late_parameters:
+                late_parameters.begin()
+        if late_parameters:
+            late_parameters.create_next()
         diagnostics.tell(lambda: status(birds))
         return announcements.drain()
 
     keep(birds, executor, stop, watchdog, look_around)
+    step = min(bird.protocol.step for bird in birds)
+    log.info(f"{names} {'was interrupted' if stop else 'has ended its flight'} at step {step}")
+
+
+def _names(birds: Sequence[BirdNode]) -> str:
+    """Return the name of one bird, or of the first and the last."""
+    names = [bird.get_name() for bird in (birds[0], birds[-1])]
+    return names[0] if len(birds) == 1 else "..".join(names)
 
 
 def status(birds: Sequence[BirdNode]) -> Status:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 
 from rclpy.context import Context
 from rclpy.executors import Executor
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import Checkpoint, Grant, Perturbation, Progress
@@ -23,7 +22,7 @@ from flock_sim.nodes.clock_services import Control
 from flock_sim.protocol.clock import Message, Timekeeper
 from flock_sim.protocol.free_flight import NO_WAY_BACK
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
-from flock_sim.ros.endpoints import ALL, latched, wait_until_heard
+from flock_sim.ros.endpoints import ALL, FlockNode, latched, wait_until_heard
 from flock_sim.ros.rejection_warnings import RejectionWarnings
 from flock_sim.ros.watchdog import Watchdog
 
@@ -56,7 +55,7 @@ class Rival:
         self._heard_at = time.monotonic()
 
 
-class ClockNode(Node):
+class ClockNode(FlockNode):
     """The clock: moves messages between a Timekeeper and the topics."""
 
     def __init__(self, keeper: Timekeeper, depth: int, *, context: Context | None = None) -> None:
@@ -66,6 +65,8 @@ class ClockNode(Node):
         self.rate = 0.0
         """Recent steps per second."""
         self._rated = (time.monotonic(), 0)
+        self._in_flight = False
+        self._rewinds = 0
         self._led = False
         self._rival = Rival()
         self._outlets = {
@@ -81,8 +82,9 @@ class ClockNode(Node):
         self.create_subscription(Progress, topics.PROGRESS_TOPIC, self._hear, ALL, raw=True)
         self.create_subscription(Grant, topics.GRANT_TOPIC, self._hear_another, ALL, raw=True)
         self._control = Control(self, keeper, self._send)
-        self._rejection_warnings = RejectionWarnings(self.get_name(), keeper.ignored_for)
+        self._rejection_warnings = RejectionWarnings(self, keeper.ignored_for)
         self._diagnostics = Diagnostics(self)
+        self.get_logger().info(f"waiting for {listing(keeper.waiting_for)}")
         self._send(keeper.first_messages)
 
     def repeat(self) -> None:
@@ -94,7 +96,7 @@ class ClockNode(Node):
         self._send(self.keeper.rewind())
 
     def look_around(self) -> None:
-        """Publish rejection warnings and diagnostics.
+        """Publish the state of the flight: log messages, rejection warnings and diagnostics.
 
         Raises FlockError if another clock leads the run, and RunFailed if a free flight would need
         a rewind. It raises here since rclpy would report an exception of a callback itself.
@@ -107,17 +109,30 @@ class ClockNode(Node):
                 "another run_id"
             )
         self._led |= self.keeper.begun and not self._rival.heard
+        self._log()
         self._rejection_warnings.tell()
         self._diagnostics.tell(self._status)
 
     def release(self) -> None:
         """Release the other nodes if the run is finished."""
+        self._log()
         if self.keeper.finished:
+            self.get_logger().info(f"the flight is over {self.keeper.where}")
             self._send([self.keeper.release])
 
     def farewell(self, stop: Stop) -> None:
         """Wait until all listeners have received everything, or until `stop`."""
         wait_until_heard(self._outlets.values(), stop, FAREWELL)
+
+    def _log(self) -> None:
+        """Log the beginning of the flight, and rewinds."""
+        keeper = self.keeper
+        if keeper.rewinds.count > self._rewinds:
+            self._rewinds, self._in_flight = keeper.rewinds.count, False
+            self.get_logger().warning(f"the flock is rewound: epoch {keeper.epoch} begins")
+        if keeper.begun and not self._in_flight:
+            self._in_flight = True
+            self.get_logger().info(f"all nodes are present; the flock flies, {keeper.where}")
 
     def _hear(self, data: bytes) -> None:
         try:

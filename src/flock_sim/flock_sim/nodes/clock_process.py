@@ -26,14 +26,15 @@ def work(process: Process) -> None:
         operation["record_stages"],
         first_epoch(),
         factor=operation["real_time_factor"],
+        clock_every=operation["clock_every"],
     )
+    depth = topics.clock_depth(process.configuration, operation["clock_every"])
     with executing(operation["executor"], process.context) as executor:
-        depth = topics.depth(topics.CLOCK_TOPIC, process.configuration)
         clock = ClockNode(keeper, depth, context=process.context)
         declare(clock, process.configuration, operation, declared_by("clock"))
         executor.add_node(clock)
         process.settle()
-        keep_time(clock, executor, process.watchdog(), lambda: process.stop)
+        keep_time(clock, executor, process.watchdog(clock), lambda: process.stop)
         clock.release()
         clock.farewell(process.stop)
 

@@ -25,6 +25,7 @@ class Control:
         """Offer the services on `node`; `send` publishes the messages that the keeper returns."""
         self._keeper = keeper
         self._send = send
+        self._logger = node.get_logger()
         for kind, name, serve in (
             (Trigger, "pause", self._pause),
             (Trigger, "resume", self._resume),
@@ -36,23 +37,23 @@ class Control:
 
     def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._keeper.pause()
-        return _said(response, self._pausing())
+        return self._said(response, self._pausing())
 
     def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.resume())
-        return _said(response, "the flight continues")
+        return self._said(response, "the flight continues")
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._send(self._keeper.stop())
         keeper = self._keeper
         where = f"at step {keeper.end}" if keeper.begun else "when all nodes are present"
-        return _said(response, f"the flight ends {where}")
+        return self._said(response, f"the flight ends {where}")
 
     def _step(self, request: Step.Request, response: Step.Response) -> Step.Response:
         if request.steps < 1:
-            return _said(response, "steps = 0: must be 1 or more", success=False)
+            return self._said(response, "steps = 0: must be 1 or more", success=False)
         self._send(self._keeper.take_steps(request.steps))
-        return _said(response, self._pausing())
+        return self._said(response, self._pausing())
 
     def _pausing(self) -> str:
         keeper = self._keeper
@@ -67,10 +68,14 @@ class Control:
                 request.bird, request.member, request.step, request.position, request.speed
             )
         except FlockError as error:
-            return _said(response, str(error), success=False)
+            return self._said(response, str(error), success=False)
         self._send(outgoing)
         response.step = step
-        return _said(response, f"bird {request.bird} is pushed at step {step}")
+        return self._said(response, f"bird {request.bird} is pushed at step {step}")
+
+    def _said(self, response: Response, message: str, *, success: bool = True) -> Response:
+        self._logger.info(message if success else f"request refused: {message}")
+        return _said(response, message, success=success)
 
 
 def _refuse(_: object, response: Response) -> Response:

@@ -16,9 +16,9 @@ from rclpy.node import Node
 from flock_interfaces.msg import BirdWing
 from flock_sim.messages.topics import NAMESPACE
 from flock_sim.recording.own_parts import BIRD, OwnPart
-from flock_sim.ros.endpoints import latched
+from flock_sim.ros.endpoints import FlockNode, latched
 
-_PREFIX = f"{NAMESPACE}/own/"
+_FOLDER = f"{NAMESPACE}/own"
 
 _LONGEST = 100  # characters of a name: the length of a topic's name is limited
 
@@ -37,11 +37,12 @@ def announce(node: Node, name: str) -> None:
     A topic's name can't have all characters: those of other alphabets become underscores.
     """
     token = re.sub(r"\W|^(?=\d|$)", "_", name, flags=re.ASCII)[:_LONGEST]
-    node.create_publisher(BirdWing, f"{_PREFIX}{token}", latched(1))
+    node.create_publisher(BirdWing, f"{_FOLDER}/{token}", latched(1))
 
 
-def announced(node: Node) -> list[OwnPart]:
+def announced(node: FlockNode) -> list[OwnPart]:
     """Return the own birds that `node` has discovered."""
     names = sorted(name for name, _ in node.get_topic_names_and_types())
-    found = [name for name in names if name.startswith(_PREFIX) and node.count_publishers(name)]
-    return [OwnPart(BIRD, name.removeprefix(_PREFIX)) for name in found]
+    prefix = f"{node.own_topic(_FOLDER)}/"
+    found = [name for name in names if name.startswith(prefix) and node.count_publishers(name)]
+    return [OwnPart(BIRD, name.removeprefix(prefix)) for name in found]

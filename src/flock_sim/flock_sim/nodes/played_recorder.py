@@ -19,7 +19,6 @@ from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import BirdState, BirdWing, Grant, Perturbation
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
@@ -161,19 +160,20 @@ def record_played(process: Process, output: Path, replace: bool) -> None:
 
     Raises RunFailed if a state was missed, or if the watchdog runs out.
     """
-    configuration, watchdog, connected = process.configuration, process.watchdog(), False
+    configuration, connected = process.configuration, False
     with (
         recording(output, configuration, grants=False, live=True, replace=replace) as run,
         executing(process.operation["executor"], process.context) as executor,
     ):
         node = PlayedRecorderNode(configuration, run, process.context)
+        watchdog = process.watchdog(node)
         executor.add_node(node)
         process.settle()
         while not process.stop and not node.assembler.complete:
             if not connected and node.connected:
                 connected = True
                 add_parts(run.bag, announced(node))
-                note("the topics of all birds and /clock are found")
+                node.get_logger().info("the topics of all birds and /clock are found")
             if node.drain():
                 watchdog.reset()
                 continue

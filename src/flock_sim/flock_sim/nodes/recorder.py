@@ -64,19 +64,15 @@ class RecorderNode(DrainedNode):
         *,
         factor: float = 0.0,
         context: Context | None = None,
-        services: bool = False,
     ) -> None:
         """Subscribe to a flock of `configuration`; `run_id` 0: the run of the first grant.
 
-        `factor` is the real-time factor of a free flight. `services`: with rosout and the parameter
-        services.
+        `factor` is the real-time factor of a free flight.
         """
         super().__init__(
             topics.RECORDER,
             namespace=topics.NAMESPACE,
             context=context,
-            start_parameter_services=services,
-            enable_rosout=services,
         )
         self.assembler = RowAssembler(configuration, record_stages, run.saved, factor > 0.0)
         self.released = False
@@ -102,7 +98,7 @@ class RecorderNode(DrainedNode):
         self._perturbations = self.subscribe_drained(Perturbation, topics.PERTURBATION_TOPIC)
         self._wanted = 0  # number of the last perturbation of this epoch
         self._pushes = RequestedPushes(configuration, run, self._session)
-        self._rejection_warnings = RejectionWarnings(self.get_name(), self.assembler.ignored_for)
+        self._rejection_warnings = RejectionWarnings(self, self.assembler.ignored_for)
         self._diagnostics = Diagnostics(self)
         self._row_topics = RowTopics(
             self,
@@ -160,6 +156,8 @@ class RecorderNode(DrainedNode):
                 self._save()
                 self._tell(self._run.saved)
         if self.assembler.complete_to(self._configuration.steps):
+            if not self._run.closed:
+                self.get_logger().info(f"the flight is on disk up to step {self._run.saved}")
             self._run.close()
 
     @property
@@ -243,6 +241,9 @@ class RecorderNode(DrainedNode):
                 self._save()
             self._checkpoint.publish(self._where().encode())
             self._tell(self._run.saved)
+            self.get_logger().info(
+                f"epoch {self._session.epoch} is recorded after step {self._run.saved}"
+            )
 
     def _name_own_birds(self) -> None:
         """Write the names of the birds that are not Flock's into the bag."""

@@ -57,7 +57,6 @@ def work(process: Process) -> None:
             note(f"{run.bag.path} is damaged or lacks steps, and is kept as {kept}")
         if factor and run.saved >= 0:
             raise FlockError(f"output {output}: {GONE}; name another output, or give force:=true")
-        services = not process.supervised
         node = RecorderNode(
             configuration,
             run,
@@ -65,13 +64,11 @@ def work(process: Process) -> None:
             stages,
             factor=factor,
             context=process.context,
-            services=services,
         )
-        if services:
-            declare(node, configuration, operation, declared_by("recorder"))
+        declare(node, configuration, operation, declared_by("recorder"))
         executor.add_node(node)
         process.settle()
-        record(node, executor, process.stop, process.watchdog())
+        record(node, executor, process.stop, process.watchdog(node))
 
 
 def _own(process: Process, output: Path, owned: ExitStack) -> tuple[bool, bool]:

@@ -70,14 +70,18 @@ class Timekeeper:
         record_stages: bool = False,
         epoch: int = 1,
         factor: float = 0.0,
+        clock_every: int = 0,
     ) -> None:
         """Begin a run of `configuration` under `run_id`; `record`: the run has a recorder.
 
         `epoch` is the first one. A clock that replaces another one learns of later epochs from the
         other nodes, and begins a later one. `factor` is the real-time factor of a free flight, in
-        which the window holds no bird.
+        which the window holds no bird. The time of every `clock_every`th step is published besides
+        that of recorded steps; 0: of no other.
         """
         self._configuration = configuration
+        every = configuration.record_every
+        self._timed = (every, clock_every or every)
         self.free = factor > 0.0
         """Whether birds step by their own timers: the services then refuse."""
         self.lost = False
@@ -281,11 +285,15 @@ class Timekeeper:
         return []
 
     def _times(self) -> list[Time]:
-        """Return the time of every recorded step that the whole flock has newly reached."""
-        every = self._configuration.record_every
+        """Return the times of the steps that the whole flock has newly reached."""
+        recorded, others = self._timed
         steps = range(self._told + 1, self.step + 1)
         self._told = max(self._told, self.step)
-        return [Time.at(self._configuration.stamp(step)) for step in steps if step % every == 0]
+        return [
+            Time.at(self._configuration.stamp(step))
+            for step in steps
+            if step % recorded == 0 or step % others == 0
+        ]
 
     def _grants(self) -> list[Grant]:
         saved = self.saved if self._nodes.recorded else None

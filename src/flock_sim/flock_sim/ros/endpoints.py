@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from flock_sim.console.signals import Stop
+from flock_sim.messages.topics import relative
 
 
 def latched(depth: int) -> QoSProfile:
@@ -65,7 +66,28 @@ class _Silence:
         """Publish nothing."""
 
 
-class DrainedNode(Node):
+class FlockNode(Node):
+    """A node of a flock. Its namespace is that of the flock: `-r __ns:=/left` moves all topics.
+
+    The methods take the names of a flock in the default namespace (`messages/topics.py`).
+    """
+
+    def own_topic(self, topic: str) -> str:
+        """Return the full name of a topic, in the namespace of this node and remapped."""
+        return str(self.resolve_topic_name(relative(topic)))
+
+    def create_publisher(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
+        """Make a publisher as rclpy does, in the namespace of this node."""
+        return super().create_publisher(msg_type, relative(topic), *arguments, **options)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, *arguments: Any, **options: Any
+    ) -> Any:
+        """Make a subscription as rclpy does, in the namespace of this node."""
+        return super().create_subscription(msg_type, relative(topic), *arguments, **options)
+
+
+class DrainedNode(FlockNode):
     """A node that takes the messages of some of its subscriptions itself, without an executor.
 
     An executor spends several times the time on a message that its reading takes. So the node polls

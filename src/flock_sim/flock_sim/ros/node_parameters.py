@@ -21,13 +21,22 @@ CLOCK = "clock"
 Parted = tuple[Mapping[str, Any], Mapping[str, Any]]
 """The configuration and the operation of a node, as parameters."""
 
-OBEYED = ("window", "timeout", "executor", "record", "record_stages", "output", "real_time_factor")
+OBEYED = (
+    "window",
+    "clock_every",
+    "timeout",
+    "executor",
+    "record",
+    "record_stages",
+    "output",
+    "real_time_factor",
+)
 """Operating parameters that `fly` takes from a file; it sets the others itself."""
 
 
-def full_name(node: str) -> str:
+def full_name(node: str, namespace: str = topics.NAMESPACE) -> str:
     """Return the full name of a node of a flock."""
-    return f"{topics.NAMESPACE}/{node}"
+    return f"{namespace.rstrip('/')}/{node}"
 
 
 def resolved(
@@ -94,22 +103,26 @@ class FlightParameters:
         return {key: value for key, value in together(told).items() if key in keys}
 
 
-def of_flight(path: Path, options: Mapping[str, Any]) -> FlightParameters:
+def of_flight(
+    path: Path, options: Mapping[str, Any], namespace: str = topics.NAMESPACE
+) -> FlightParameters:
     """Return the content of the file in `path` for a flight; `options` override it.
 
-    Raises FlockError if it can't be flown, or if the nodes would fly different flocks.
+    `namespace` is that of the nodes. Raises FlockError if it can't be flown, or if the nodes would
+    fly different flocks.
     """
     sections = parameter_file.sections(path)
     common = parted({**sections.common, **options})
-    flown, operation = resolved(sections, full_name(CLOCK), common, options)
+    flown, operation = resolved(sections, full_name(CLOCK, namespace), common, options)
     configuration = FlockConfiguration.given(flown)
     nodes = [topics.RECORDER, *map(topics.bird_name, range(1, configuration.birds + 1))]
     found = {CLOCK: operation}
     for node in nodes:
-        theirs, found[node] = resolved(sections, full_name(node), common, options)
+        full = full_name(node, namespace)
+        theirs, found[node] = resolved(sections, full, common, options)
         if theirs != flown:
-            check_same(configuration, theirs, full_name(node), sections)
-    unmatched = sections.unmatched(map(full_name, found))
+            check_same(configuration, theirs, full, sections)
+    unmatched = sections.unmatched(full_name(node, namespace) for node in found)
     if unmatched:
         note(f"note: {path}: no node of this flight matches section {', '.join(unmatched)}")
     aside = {

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.signals import SignalHandlerOptions
+from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -28,6 +28,7 @@ from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.fetch import ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD, let_fetch
 from flock_sim.ros.given import parameter_reader, what_is_given
+from flock_sim.ros.log import initialised, warn
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
 
@@ -48,9 +49,12 @@ class Process:
     and made again.
     """
 
-    def watchdog(self) -> Watchdog:
+    def watchdog(self, node: Node) -> Watchdog:
         """Return the watchdog of this process. Under `fly` it is silent: the clock reports."""
-        return Watchdog(self.operation["timeout"], (lambda line: None) if self.supervised else note)
+        silent = self.supervised
+        return Watchdog(
+            self.operation["timeout"], lambda line: None if silent else warn(node, line)
+        )
 
 
 @contextmanager
@@ -84,12 +88,12 @@ def new_incarnation() -> int:
     return secrets.randbits(64)
 
 
-def ros_context(arguments: Sequence[str]) -> Context:
-    """Return an initialised ROS context that installs no signal handlers."""
-    context = Context()
-    rclpy.init(
-        args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
-    )
+def ros_context(arguments: Sequence[str] = (), *, quiet: bool = True) -> Context:
+    """Return a new ROS context without signal handlers, with the settings of Flock.
+
+    A `quiet` one prints no log messages (`log.py`).
+    """
+    context = initialised(arguments, quiet=quiet)
     let_fetch([ENDPOINTS_OF_ALL], ENDPOINTS_PERIOD)
     return context
 
@@ -119,7 +123,7 @@ def run_node(
             _follow_parent()
         prepare_discovery(options.network)
         with results_only_on_stdout():
-            context = ros_context(arguments)
+            context = ros_context(arguments, quiet=supervised)
             try:
                 with parameter_reader(name, context) as reader:
                     if not supervised:  # `fly` checks for all of its processes
@@ -152,8 +156,16 @@ def _parameters(name: str) -> str:
 
 def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:
     """Return the arguments that are not for ROS. Raises FlockError if ROS can't read the others."""
+    return check_ros_arguments(arguments, f"; ./flock {name} --help shows their form")
+
+
+def check_ros_arguments(arguments: Sequence[str], hint: str = "") -> list[str]:
+    """Return the arguments that are not for ROS.
+
+    Raises FlockError, with `hint`, if ROS can't read the others.
+    """
     try:
-        return list(remove_ros_args([name, *arguments])[1:])
+        return list(remove_ros_args(["", *arguments])[1:])
     except (
         rclpy_implementation.RCLInvalidROSArgsError,
         rclpy_implementation.UnknownROSArgsError,
@@ -161,9 +173,7 @@ def _without_ros_arguments(name: str, arguments: Sequence[str]) -> list[str]:
         # After "at" comes the place in the sources of rcl, which does not help a user.
         words = str(error).partition(", at /")[0].replace("\n", " ")
         reason = words.removeprefix("Failed to parse ROS arguments: ").strip()
-        raise FlockError(
-            f"ROS arguments: {reason}; ./flock {name} --help shows their form"
-        ) from error
+        raise FlockError(f"ROS arguments: {reason}{hint}") from error
 
 
 def _follow_parent() -> None:

@@ -5,20 +5,31 @@ from __future__ import annotations
 
 from collections import Counter
 
-from flock_sim.console.arguments import note
+from rclpy.node import Node
+
 from flock_sim.messages.rejection import AGAIN, STALE
+from flock_sim.ros.log import warn
 
 
 class RejectionWarnings:
     """The rejection warnings of one node, from its counts of ignored messages."""
 
-    def __init__(self, who: str, ignored_for: Counter[str], told: set[str] | None = None) -> None:
-        """Warn for node `who`; `told` holds the reasons already reported in its process.
+    def __init__(
+        self,
+        node: Node,
+        ignored_for: Counter[str],
+        told: set[str] | None = None,
+        logger: Node | None = None,
+    ) -> None:
+        """Warn for `node`; `told` holds the reasons already reported in its process.
+
+        `logger` is the node that logs the warnings, by default the same.
 
         Stale messages are normal in a recovery, and repeated messages of waiting birds are normal
         after a loss. Neither is reported.
         """
-        self._who = who
+        self._node = node
+        self._logger = logger or node
         self._ignored_for = ignored_for
         self._told = set() if told is None else told
         self._told |= {AGAIN, STALE}
@@ -29,4 +40,5 @@ class RejectionWarnings:
             return
         for reason in self._ignored_for.keys() - self._told:
             self._told.add(reason)
-            note(f"warning: {self._who} ignores messages {reason}; /diagnostics counts them")
+            who = self._node.get_name()
+            warn(self._logger, f"{who} ignores messages {reason}; /diagnostics counts them")

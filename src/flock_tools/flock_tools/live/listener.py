@@ -14,14 +14,13 @@ from typing import TypeVar
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor
-from rclpy.node import Node
 
 from flock_interfaces.msg import BirdState, Grant
 from flock_sim.console.signals import Stop
 from flock_sim.errors import RunFailed
 from flock_sim.messages import topics
 from flock_sim.ros.discovery import DOMAIN
-from flock_sim.ros.endpoints import latched
+from flock_sim.ros.endpoints import FlockNode, latched
 from flock_sim.ros.process import executing, ros_context
 from flock_sim.ros.settings_check import check_settings
 from flock_tools.live.flock_monitor import Sample, View
@@ -37,9 +36,6 @@ DEPTH = 64
 """Queue depth of a topic. A flock that is faster than this node is sampled. Several flights may
 latch their grants and wings on the same topics."""
 
-STATE_TOPIC = re.compile(re.escape(topics.NAMESPACE) + r"/bird_(\d+)/state")
-
-
 PARTICIPANT = 12
 """Number of bytes of an endpoint's global id (GUID) that its process has given to all of them."""
 
@@ -49,7 +45,7 @@ UNNAMED = "_NODE_NAME_UNKNOWN_"
 Listener = TypeVar("Listener", bound="Watcher")
 
 
-class Watcher(Node):
+class Watcher(FlockNode):
     """Listens to the states of all birds that it finds, and to the grants of their clock."""
 
     def __init__(self, context: Context, name: str = "watch") -> None:
@@ -61,6 +57,7 @@ class Watcher(Node):
             start_parameter_services=False,
             enable_rosout=False,
         )
+        self._state_topic = re.compile(re.escape(self.get_namespace()) + r"/bird_(\d+)/state")
         self.view = View()
         self.birds: frozenset[int] = frozenset()
         """The birds whose states are published; after the end of a flight, the last ones."""
@@ -78,12 +75,12 @@ class Watcher(Node):
         """
         states: dict[int, frozenset[Publisher]] = {}
         for name, _ in self.get_topic_names_and_types():
-            match = STATE_TOPIC.fullmatch(name)
+            match = self._state_topic.fullmatch(name)
             if match and (found := self.publishers_of(name)):
                 states[int(match[1])] = found
                 if int(match[1]) not in self._heard:
                     self.listen(int(match[1]), name)
-        self.view.see_publishers(states, self.publishers_of(topics.GRANT_TOPIC))
+        self.view.see_publishers(states, self.publishers_of(self.own_topic(topics.GRANT_TOPIC)))
         if states and states.keys() != self.birds:
             self.birds = frozenset(states)
             self._found_at = time.monotonic()
@@ -120,7 +117,7 @@ class Watcher(Node):
 @contextmanager
 def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Executor]]:
     """Give the node that `make` creates, and its executor. Remove both at the end."""
-    context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context = ros_context()
     try:
         with executing("single", context) as executor:
             watcher = make(context)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from flock_sim.messages.topics import NAMESPACE, bird_name
+from flock_sim.messages.topics import bird_name
 
 
 class Publisher(NamedTuple):
@@ -55,7 +55,7 @@ class Players:
         """
         played = {
             bird: {
-                each for each in found if each.node not in ("", f"{NAMESPACE}/{bird_name(bird)}")
+                each for each in found if each.node.rpartition("/")[2] not in ("", bird_name(bird))
             }
             for bird, found in states.items()
         }
