@@ -4,11 +4,23 @@ from setuptools import find_packages, setup
 setup(
     name="flock_sim",
     version="0.1.0",
-    description="A flock in V-formation, every bird a ROS 2 node.",
+    description="Birds in V-formation, each of them a ROS 2 node: physics, nodes and recording.",
     maintainer="The Flock authors",
     maintainer_email="flock@example.org",
     license="Apache-2.0",
     packages=find_packages(),
+    install_requires=[
+        "lz4",
+        "mcap",
+        "numba",
+        "numpy",
+        "PyYAML",
+        "rich",
+        "scipy",
+        "setproctitle",
+        "zstandard",
+    ],
+    extras_require={"test": ["pytest"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/flock_sim"]),
         (
