@@ -4,7 +4,7 @@
 
 WORKERS = $(shell nproc)
 
-.PHONY: setup demo test test-kilted other-machine torture lint docs-packages docs bench figures clean help
+.PHONY: setup demo test test-packages test-kilted other-machine torture lint docs-packages docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
@@ -21,6 +21,10 @@ demo: setup  ## fly 13 geese over ROS 2 to their steady state, record, measure a
 test: setup  ## run the tests; ALL=1: the slow ones too
 	@./flock python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder \
 		$(if $(ALL),,-m "not slow") $(PYTEST_ARGS)
+
+test-packages: setup  ## run the short tests inside the packages, as `colcon test` does
+	@./flock python -m colcon test --base-paths src --test-result-base build/test-results
+	@./flock python -m colcon test-result --test-result-base build/test-results --verbose
 
 test-kilted:  ## fly with ROS 2 Kilted, which has Fast DDS 3, from a copy of this tree in build/kilted
 	@tools/test-kilted $(PYTEST_ARGS)
