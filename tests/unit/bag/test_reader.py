@@ -9,6 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from flock_sim.bag.reading import mcap_file
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
@@ -104,6 +105,25 @@ def test_the_last_row_of_a_long_bag_is_read_without_the_rest(
     assert asked < path.stat().st_size / 20
 
 
+def test_two_metadata_records_of_one_name_need_no_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # rosbag2 writes its metadata.yaml into a file when it opens it, and again when it closes it.
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "theirs")
+        channel = writer.register_channel("/words", "cdr", 0)
+        writer.add_metadata("rosbag2", {"serialized_metadata": "at first"})
+        writer.add_message(channel, 7, b"", 7)
+        writer.add_metadata("rosbag2", {"serialized_metadata": "at last"})
+        writer.finish()
+    monkeypatch.setattr(mcap_file, "scanned", lambda fd: pytest.fail("the whole file is read"))
+    with BagReader(path) as bag:
+        assert bag.metadata("rosbag2") == {"serialized_metadata": "at last"}
+        assert bag.message_counts == {"/words": 1}
+
+
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("chunking", [True, False])
 @pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
@@ -188,7 +208,23 @@ def test_several_streams_of_one_reader_do_not_disturb_each_other(tmp_path: Path)
         (lambda p: p.mkdir(), "there is no .mcap file in it"),
         (lambda p: p.write_bytes(b""), "is an empty file"),
         (lambda p: p.write_text("time,position\n0,1\n"), "is not an MCAP file"),
-        (lambda p: p.write_bytes(b"SQLite format 3\0"), "is not an MCAP file"),
+        (
+            lambda p: p.write_bytes(b"SQLite format 3\0"),
+            "given is an SQLite bag of rosbag2, not MCAP: .* --dst-storage mcap, or use ros2 bag",
+        ),
+        (lambda p: p.write_bytes(b"#ROSBAG V2.0\n"), "is a bag of ROS 1, .* --src .*/given --dst"),
+        (
+            lambda p: (p.mkdir(), (p / "x_0.db3").write_bytes(b"SQLite format 3\0")),
+            r"it has an SQLite bag of rosbag2 \(x_0.db3\): .* rosbags-convert --src .*/given --dst",
+        ),
+        (
+            lambda p: (p.mkdir(), (p / "x_0.db3.zstd").write_bytes(b"")),
+            r"SQLite bag of rosbag2 \(x_0.db3.zstd\): .* --src .*/given --dst",
+        ),
+        (
+            lambda p: (p.mkdir(), (p / "drive.bag").write_bytes(b"#ROSBAG V2.0\n")),
+            r"it has a bag of ROS 1 \(drive.bag\): .* --src .*/given/drive.bag --dst",
+        ),
         (lambda p: (p.mkdir(), (p / "x_0.mcap").write_bytes(b"")), "x_0.mcap is an empty file"),
         (lambda p: (p / "x_0.mcap").mkdir(parents=True), "x_0.mcap can't be read: Is a dir"),
         (lambda p: p.symlink_to(p), "can't be read: Too many levels"),

@@ -447,7 +447,7 @@ def test_whatever_is_reported_fits_in_one_file(flocks: list[tuple[int, int]]) ->
         ),
         (["EMPTY"], "no recorded step is complete"),
         (["others"], "not a bag of Flock's"),
-        (["sqlite"], "ros2 bag convert makes MCAP of it"),
+        (["sqlite"], "or use ros2 bag convert"),
         (["RUN", "--output", "no/such/a.html"], "no/such is no directory"),
         (["RUN", "--output", "bag.mcap"], "must end in one of .html, .htm"),
         (["RUN", "--output", "made.html"], "is a directory"),

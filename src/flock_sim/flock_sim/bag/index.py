@@ -2,12 +2,13 @@
 """The contents of an MCAP file, from its summary or by a pass over its records."""
 
 import os
+import struct
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics
+from mcap.records import Channel, Footer, Metadata, MetadataIndex, Schema, Statistics
 
 from flock_sim.bag.file_sections import MAGIC
 from flock_sim.bag.records import (
@@ -27,6 +28,10 @@ from flock_sim.bag.salvage import goes_on
 _DEFINING = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
 _FOOTER_SIZE = FRAME.size + 20  # bytes
 _END_SIZE = _FOOTER_SIZE + len(MAGIC)
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+"""The beginning of the index of a chunk: start and end time in ns, offset and length in bytes, and
+the size in bytes of the map that follows, from channels to the offsets of their message indexes."""
+_CHANNEL_OFFSET = struct.Struct("<HQ")
 CRC_SIZE = 4
 """Size of a CRC in the footer and in the record that ends the data, in bytes."""
 
@@ -94,35 +99,27 @@ def summarised(fd: int) -> Contents | None:
 
     contents = Contents(whole=footer.summary_start)
     statistics: Statistics | None = None
-    sets: dict[frozenset[int], frozenset[int]] = {}  # shared sets: most chunks have equal ones
+    metadata_count = 0  # several records may have one name
+    sets: dict[tuple[bytes, bytes], frozenset[int]] = {}
     for opcode, content in records_in(block[:-_FOOTER_SIZE]):
         contents.define(opcode, content)
         if opcode == Opcode.STATISTICS:
             statistics = parse(Statistics.read, content)
         elif opcode == Opcode.CHUNK_INDEX:
-            chunk: ChunkIndex = parse(ChunkIndex.read, content)
-            channels = frozenset(chunk.message_index_offsets)
-            contents.chunks.append(
-                ChunkPlace(
-                    chunk.chunk_start_offset,
-                    chunk.chunk_length,
-                    chunk.message_start_time,
-                    chunk.message_end_time,
-                    sets.setdefault(channels, channels),
-                )
-            )
+            contents.chunks.append(_indexed_chunk(content, sets))
         elif opcode == Opcode.METADATA_INDEX:
             index: MetadataIndex = parse(MetadataIndex.read, content)
             frame = read_frame(fd, index.offset)
             if frame is None or frame[0] != Opcode.METADATA:
                 raise DamagedError(f"there is no metadata at byte {index.offset}")
             contents.define(frame[0], read_content(fd, index.offset, frame[1]))
+            metadata_count += 1
 
     if (
         statistics is None
         or statistics.channel_count != len(contents.channels)
         or statistics.chunk_count != len(contents.chunks)
-        or statistics.metadata_count != len(contents.metadata)
+        or statistics.metadata_count != metadata_count
     ):
         return None
     contents.chunks.sort()  # by offset: the order of the file
@@ -132,6 +129,26 @@ def summarised(fd: int) -> Contents | None:
         contents.meet(statistics.message_start_time)
         contents.meet(statistics.message_end_time)
     return contents
+
+
+def _indexed_chunk(content: bytes, sets: dict[tuple[bytes, bytes], frozenset[int]]) -> ChunkPlace:
+    """Return the place of a chunk from its index, without the slower `parse`; raises DamagedError.
+
+    `sets` has the sets of channels of the chunks before, by the low and high bytes of the channels:
+    most chunks have the same ones.
+    """
+    if len(content) < _CHUNK_INDEX.size:
+        raise DamagedError("the index of a chunk is cut short")
+    start, end, offset, length, size = _CHUNK_INDEX.unpack_from(content)
+    offsets = content[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]
+    if len(offsets) < size or size % _CHANNEL_OFFSET.size:
+        raise DamagedError("the channels in the index of a chunk are cut short")
+    key = offsets[:: _CHANNEL_OFFSET.size], offsets[1 :: _CHANNEL_OFFSET.size]
+    channels = sets.get(key)
+    if channels is None:
+        channels = frozenset(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(offsets))
+        sets[key] = channels
+    return ChunkPlace(offset, length, start, end, channels)
 
 
 def scanned(fd: int) -> Contents:

@@ -11,6 +11,7 @@ import yaml
 
 from flock_sim.bag.directory import METADATA_FILE, is_recording
 from flock_sim.bag.reading.compression import FORMAT
+from flock_sim.bag.reading.other_formats import SQLITE, conversion, format_of_name
 from flock_sim.errors import FlockError
 
 # The list of topics: for hundreds of topics its parsing takes seconds, and the files have it too.
@@ -50,8 +51,11 @@ def listing(path: Path) -> Listing:
     ]
     if not found:
         why = "there is no .mcap file in it"
-        if any(entry.suffix == ".db3" for entry in entries):
-            why += ", but an SQLite file; ros2 bag convert makes MCAP of it"
+        others = [entry for entry in entries if format_of_name(_plain(entry.name))]
+        if others and (what := format_of_name(_plain(others[0].name))):
+            # Of ROS 1, each file is a bag.
+            bag = path if what == SQLITE else others[0]
+            why = f"it has {what} ({others[0].name}): {conversion(what, bag)}"
         raise FlockError(f"{path} is not a bag that can be read: {why}")
     if not (path / METADATA_FILE).exists():
         missing = f"no {METADATA_FILE} (the recording was cut short)"

@@ -13,6 +13,7 @@ from mcap.records import Channel
 from flock_sim.bag.file_sections import MAGIC
 from flock_sim.bag.index import CRC_SIZE, Contents, has_end, scanned, summarised
 from flock_sim.bag.reading.compression import ZSTD_MAGIC, unpacked_file
+from flock_sim.bag.reading.other_formats import conversion, format_of_content
 from flock_sim.bag.records import (
     FRAME,
     MESSAGE_HEAD,
@@ -74,6 +75,8 @@ class McapFile:
             magic = os.pread(self._file.fileno(), len(MAGIC), 0)
         if magic != MAGIC:
             self.close()
+            if other := format_of_content(magic):
+                raise FlockError(f"{path} is {other}, not MCAP: {conversion(other, path)}")
             what = "is not an MCAP file" if magic else "is an empty file"
             raise FlockError(f"{path} {what}: name a bag that was recorded by fly or reference")
         try:
