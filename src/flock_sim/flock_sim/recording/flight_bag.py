@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
-from flock_sim.messages.handshake import check_handshake
+from flock_sim.messages.handshake import check_handshake, read_handshake
 from flock_sim.recording.machine import Machine
 from flock_sim.recording.own_parts import LAW, digests, own_records, recorded_parts
 
@@ -75,11 +76,27 @@ def recorded_machines(records: Mapping[str, Mapping[str, str]]) -> list[Machine]
 
 
 def recorded_configuration(bag: BagReader) -> FlockConfiguration:
-    """Return the configuration in a bag. Raises FlockError or ValueError if there is none."""
+    """Return the configuration in a bag. Raises FlockError or ValueError if there is none.
+
+    The bag of a program that keeps messages but no records has it in its grants.
+    """
+    if CONFIGURATION_RECORD not in bag.records and topics.GRANT_TOPIC in bag.topics:
+        return granted_configuration(bag)[0]
     record = bag.metadata(CONFIGURATION_RECORD)
     values = {key: json.loads(value) for key, value in record.items()}
     values.pop("flock_version", None)
     return FlockConfiguration.from_parameters(values)
+
+
+def granted_configuration(bag: BagReader) -> tuple[FlockConfiguration, float]:
+    """Return the configuration in the first grant of a bag, and the real-time factor as below.
+
+    Raises FlockError if there is none.
+    """
+    for _, _, data in bag.messages([topics.GRANT_TOPIC]):
+        with suppress(ValueError):
+            return read_handshake(messages.Grant.decode(data).terms)
+    raise FlockError(f"no message on {topics.GRANT_TOPIC} has a configuration")
 
 
 def recorded_factor(bag: BagReader) -> float:
@@ -90,6 +107,8 @@ def recorded_factor(bag: BagReader) -> float:
     if topics.ages_topic(1) not in bag.topics:
         return 0.0
     try:
+        if CONFIGURATION_RECORD not in bag.records:
+            return granted_configuration(bag)[1]
         return float(json.loads(bag.metadata(_FREE_RECORD)[_FACTOR]))
     except (KeyError, TypeError, ValueError) as error:
         raise FlockError(

@@ -37,6 +37,7 @@ from flock_sim.recording.flight_bag import (
     recorded_machines,
     recorded_push,
 )
+from flock_sim.recording.foreign_flight import needed_repair
 from flock_sim.recording.machine import Machine
 from flock_sim.recording.own_parts import (
     OwnPart,
@@ -70,6 +71,9 @@ class Run:
         """Open the bag at `path`. Raises FlockError if it is missing, empty or foreign."""
         self.path = Path(path)
         self.bag = BagReader(self.path)
+        if repair := needed_repair(self.bag):
+            self.bag.close()
+            raise FlockError(repair)
         note_link_models(recorded_parts(self.bag.records))
         try:
             self.configuration = recorded_configuration(self.bag)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,11 +23,15 @@ missing, or bytes anywhere are damaged. The new bag has all intact messages, als
 damaged place and those before a cut in the last chunk, a summary and metadata.yaml. Invalid
 perturbations are left out. The damaged bag is not changed. ./flock fly --resume flies the steps
 that the new bag lacks.
+It also makes a run of a flight that another program recorded, such as ros2 bag record, live or
+while it was played: with simulated times, each recorded step once. The configuration is that of the
+clock's grants in the bag, or of --config.
 Exit status: 0 repaired, or nothing to repair; 2 not a bag of Flock, or no intact message in it."""
 
 EXAMPLES = """\
   ./flock repair runs/torn                        writes runs/torn-repaired
-  ./flock repair runs/torn --output runs/whole --force"""
+  ./flock repair runs/torn --output runs/whole --force
+  ./flock repair rosbag2_2026_01_31 --output runs/theirs --config flock.yaml"""
 
 
 @dataclass(frozen=True)
@@ -198,6 +203,12 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--output", metavar="DIR", type=Path, help="directory of the new bag (RUN-repaired)"
     )
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        help="configuration of a flight that another program recorded (that in its grants)",
+    )
     parser.add_argument("--force", action="store_true", help="replace the bag in --output")
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     options = parser.parse_args(arguments)
@@ -207,6 +218,10 @@ def tool(arguments: Sequence[str]) -> int:
 
     directory = options.run if options.run.is_dir() else options.run.parent
     output = options.output or _beside(directory)
+    facts = _of_others(options, output)
+    if facts is not None:
+        _tell(facts, options.json)
+        return 0
     with Run(options.run) as run:
         damage = examine(run)
         if damage.any and damage.messages == 0:
@@ -226,11 +241,49 @@ def tool(arguments: Sequence[str]) -> int:
         "left_out": foreign,
         "invalid_perturbations": damage.invalid,
     }
-    if options.json:
-        print_json(facts)
+    _tell(facts, options.json)
+    return 0
+
+
+def _of_others(options: argparse.Namespace, output: Path) -> dict[str, Any] | None:
+    """Make a run of a flight that another program recorded; return the result.
+
+    Returns None if the bag has the records of Flock, or needs no more than these.
+    """
+    from flock_sim.bag.reading.reader import BagReader
+    from flock_sim.configuration.options import flock_configuration
+    from flock_sim.messages import topics
+    from flock_sim.recording.foreign_flight import ForeignFlight, needed_repair, write_flight
+    from flock_sim.recording.output_directory import own_output
+
+    with BagReader(options.run) as bag:
+        if not (repair := needed_repair(bag)):
+            if options.config:
+                raise FlockError(f"--config {options.config}: {options.run} has its configuration")
+            return None
+        if not options.config and topics.GRANT_TOPIC not in bag.topics:
+            raise FlockError(repair)
+        flight = ForeignFlight(bag, flock_configuration(options) if options.config else None)
+        with own_output(output, options.force) as owned:
+            rows = write_flight(flight, output, replace=owned.replaces)
+        return {
+            "run": str(options.run),
+            "output": str(output),
+            "missing": bag.missing,
+            "broken": None,
+            "cut": None,
+            "missing_steps": flight.missing_steps,
+            "messages": rows * flight.configuration.birds,
+            "left_out": flight.left_out,
+            "invalid_perturbations": 0,
+        }
+
+
+def _tell(facts: Mapping[str, Any], as_json: bool) -> None:
+    if as_json:
+        print_json(dict(facts))
     else:
         print(described(facts))
-    return 0
 
 
 def described(facts: Mapping[str, Any]) -> str:

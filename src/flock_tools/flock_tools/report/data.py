@@ -158,7 +158,7 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
     Raises FlockError if the bag has no complete step, or is damaged.
     """
     metrics = run.metrics()
-    record = run.bag.metadata(CONFIGURATION_RECORD)
+    record = run.bag.records.get(CONFIGURATION_RECORD, {})
     return Reported(
         name=str(run.path),
         configuration=run.configuration,
