@@ -37,6 +37,7 @@ class Played:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self.heard: list[tuple[str, bytes]] = []
+        self.ticks: list[int] = []
         self.selection: Selection | None = None
         self.refused: Callable[[bytes], bool] = lambda data: False
         self._capsys = capsys
@@ -49,6 +50,9 @@ class Played:
         self.heard.append((topic, data))
 
     say_when_heard = say
+
+    def tick(self, stamp: int) -> None:
+        self.ticks.append(stamp)
 
     def meet(self, stop: object) -> None:
         pass
@@ -72,7 +76,8 @@ class Played:
 
     @contextmanager
     def _player(
-        self, selection: Selection, own_birds: Sequence[str]
+        self, selection: Selection, own_birds: Sequence[str], clock: float | None
     ) -> Iterator[tuple[Any, Callable[[], None]]]:
         self.selection = selection
+        self.clock = clock
         yield self, lambda: None

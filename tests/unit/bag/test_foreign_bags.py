@@ -210,7 +210,7 @@ def test_only_messages_that_an_installed_package_lists_are_looked_up(tmp_path: P
     bare = [Channel(f"/t{k}", type=name) for k, name in enumerate(names)]
     bag = write_bag(tmp_path / "bag", *(words(1, channel=channel) for channel in bare))
     with BagReader(bag) as opened, pytest.raises(FlockError) as raised:
-        select(opened, None)
+        select(opened)
     for name in names:
         assert f"its type {name} can't be imported here" in str(raised.value)
 
@@ -223,3 +223,66 @@ def test_a_schema_may_have_no_name_and_a_profile_any_shape(tmp_path: Path, play:
     ]
     said = [message for channel in odd for message in words(1, channel=channel)]
     assert play(write_bag(tmp_path / "bag", said))["messages"] == 3
+
+
+def test_topics_are_left_out_and_renamed_by_their_recorded_names(
+    tmp_path: Path, play: Played
+) -> None:
+    camera, bare = Channel("/camera"), Channel("bare")
+    latched = Channel("/map", profiles=LATCHED)
+    said = [*words(1, 2, channel=camera), *words(1, 2), *words(2, channel=bare)]
+    bag = write_bag(tmp_path / "bag", [*words(0, channel=latched), *said, *words(9)])
+    facts = play(bag, "--exclude-topics", "bare", "/words", "-m", "/camera:=old", "map:=/old/map")
+    assert facts["topics"] == {"/old/map": 1, "/old": 2}
+    assert play.heard == [("/old/map", word("at 0 s")), *(("/old", d) for *_, d in said[:2])]
+    play(bag, "-s", "1.5", "--topics", "/map", "/camera", "--remap", "/map:=/there")
+    assert play.heard == [("/there", word("at 0 s")), ("/camera", word("at 2 s"))]
+    facts = play(bag, "--remap", "/camera:=/words", "--exclude-topics", "bare", "/map")
+    assert facts["topics"] == {"/words": 5}
+
+
+@pytest.mark.parametrize(
+    ("options", "words_of_error"),
+    [
+        (("--exclude-topics", "/wrods"), "--exclude-topics /wrods: did you mean '/words'?"),
+        (("--exclude-topics", "/words"), "none of its topics can be played"),
+        (("--remap", "/wrods:=/a"), "--remap /wrods: did you mean '/words'?"),
+        (("--remap", "/words=/a"), "--remap /words=/a: must be OLD:=NEW"),
+        (("--remap", "/words:=/a b"), "--remap /words:=/a b: must be OLD:=NEW"),
+        (("--remap", "/words:=/a", "words:=/b"), "/words is already played as /a"),
+        (("--clock", "0"), "--clock 0: must be a finite number above 0"),
+        (("--delay", "-1"), "--delay -1: must be a number from 0"),
+        (("-s", "mcap"), "--start mcap: must be a number from 0 to 1.84467e+10; leave out -s"),
+    ],
+)
+def test_options_that_name_nothing_are_refused(
+    tmp_path: Path, play: Played, options: tuple[str, ...], words_of_error: str
+) -> None:
+    assert words_of_error in play.error(write_bag(tmp_path / "bag", words(1)), *options)
+
+
+def test_a_recorded_clock_is_left_out_if_the_player_has_a_clock(
+    tmp_path: Path, play: Played
+) -> None:
+    recorded = Channel("/clock")
+    bag = write_bag(tmp_path / "bag", [*words(1, channel=recorded), *words(1, 2)])
+    facts = play(bag, "--clock", "100")
+    assert play.heard == heard(*words(1, 2))
+    assert play.clock == 100.0
+    assert play.ticks[0] == SECOND
+    assert facts["skipped"] == {"/clock": "the player publishes its own (--clock)"}
+    facts = play(bag, "--clock", "--remap", "/clock:=/recorded_clock")
+    assert facts["topics"] == {"/recorded_clock": 1, "/words": 2}
+    assert play.clock == 40.0
+    assert "the player publishes its own" in play.error(bag, "--clock", "1", "--topics", "/clock")
+    play.ticks.clear()
+    assert play(bag)["topics"] == {"/clock": 1, "/words": 2}
+    assert (play.clock, play.ticks) == (None, [])
+
+
+def test_what_ros2_bag_play_is_told_is_understood(tmp_path: Path, play: Played) -> None:
+    bag = write_bag(tmp_path / "bag", words(1, 2, 3, 4))
+    told = ("--start-offset", "1", "--playback-duration", "1", "-d", "0.001")
+    facts = play(bag, *told, "-r", "1e9", "--disable-keyboard-controls")
+    assert play.heard == heard(*words(2, 3))
+    assert facts["rate"] == 1e9

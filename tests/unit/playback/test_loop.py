@@ -71,6 +71,43 @@ def test_at_rate_0_all_is_due_and_a_rate_then_goes_on_from_what_was_played() -> 
     assert schedule.left(ORIGIN + 6 * SECOND) == pytest.approx(1.0)
 
 
+def test_a_rate_that_was_too_high_is_not_caught_up_with_at_a_lower_one() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1000.0, now=clock)
+    schedule.upcoming = ORIGIN + 5 * SECOND
+    clock.time += 60.0  # the schedule is at 60000 s, but the message of 5 s is not played yet
+    assert schedule.left(schedule.upcoming) < 0.0
+    assert schedule.position == ORIGIN + 5 * SECOND
+    schedule.set_rate(1.0)
+    assert schedule.left(ORIGIN + 5 * SECOND) == 0.0
+    assert schedule.left(ORIGIN + 68 * SECOND) == pytest.approx(63.0)
+
+
+def test_a_pause_does_not_leave_messages_that_are_due_to_be_caught_up_with() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1000.0, now=clock)
+    schedule.upcoming = ORIGIN + 5 * SECOND
+    clock.time += 60.0
+    schedule.pause()
+    schedule.set_rate(1.0)
+    schedule.resume()
+    assert schedule.left(ORIGIN + 6 * SECOND) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rate", [0.0, 2.0])
+def test_recorded_time_stands_still_in_a_delay(rate: float) -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, rate, now=clock)
+    schedule.jump(ORIGIN, 10.0)
+    clock.time += 4.0
+    assert (schedule.running, schedule.position) == (False, ORIGIN)
+    assert schedule.left(ORIGIN) == pytest.approx(6.0)
+    schedule.set_rate(1.0)
+    assert schedule.left(ORIGIN + SECOND) == pytest.approx(7.0)
+    clock.time += 7.0
+    assert (schedule.running, schedule.position) == (True, ORIGIN + SECOND)
+
+
 class Stage:
     """A playback of ten messages, a second apart, that keeps what it publishes."""
 
@@ -260,6 +297,78 @@ def test_a_long_wait_is_ended_by_who_asks_from_another_thread() -> None:
     thread.join(60)
     assert not thread.is_alive()
     assert stage.heard[-5:] == [5, 6, 7, 8, 9]
+
+
+@pytest.mark.parametrize("rate", [1e300, math.inf, math.nan, 0.0, -1.0])
+def test_a_rate_that_the_option_refuses_is_refused(rate: float) -> None:
+    play = Stage(rate=1.0).playback
+    assert not play.set_rate(rate)
+    assert play.schedule.rate == 1.0
+    assert play.set_rate(1e9)
+
+
+def test_a_slow_player_obeys_a_lower_rate_from_the_message_that_is_next() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1000.0, now=clock)
+    left: list[float] = []
+
+    def publish(topic: str, data: bytes) -> None:
+        clock.time += 1.0  # in which the schedule goes on by 1000 s
+        if data == b"3":
+            play.set_rate(1.0)
+            play.ask(lambda: left.append(schedule.left(ORIGIN + 9 * SECOND)))
+            play.ask(play.stop)
+
+    messages = [("/topic", ORIGIN + k * SECOND, b"%d" % k) for k in range(10)]
+    play = Playback(lambda _: iter(messages), publish, schedule, (ORIGIN, ORIGIN + 9 * SECOND))
+    play.run()
+    assert left == [pytest.approx(6.0)]
+
+
+def test_the_clock_ticks_in_pauses_too_and_never_before_a_message_that_is_due() -> None:
+    clock = FakeClock()
+    schedule = Schedule(ORIGIN, 1.0, paused=True, now=clock)
+    ticks: list[int] = []
+
+    def tick(at: int) -> None:
+        ticks.append(at)
+        if len(ticks) == 2:
+            schedule.resume()
+        elif len(ticks) == 4:
+            play.stop()
+        clock.time += 100.0
+
+    messages = [("/topic", ORIGIN + k * SECOND, b"") for k in (0, 1000)]
+    play = Playback(
+        lambda _: iter(messages),
+        lambda topic, data: None,
+        schedule,
+        (ORIGIN, ORIGIN + 1000 * SECOND),
+        meet=lambda: None,
+        tick=tick,
+        tick_every=1e-4,
+    )
+    play.run()
+    assert ticks[:2] == [ORIGIN, ORIGIN]
+    assert ticks == sorted(ticks)
+    assert len(ticks) == 4
+
+
+def test_each_start_is_delayed() -> None:
+    stage = Stage(loop=True)
+    jumps: list[float] = []
+    schedule = stage.playback.schedule
+    jump = schedule.jump
+
+    def noted(stamp: int, delay: float = 0.0) -> None:
+        jumps.append(delay)
+        jump(stamp)
+
+    schedule.jump = noted  # type: ignore[method-assign]
+    stage.playback._delay = 5.0
+    stage.playback.run()
+    assert [delay for delay in jumps if delay] == [5.0, 5.0, 5.0]
+    assert stage.heard == [*range(10), *range(10), *range(5)]
 
 
 LATCHED = QoSProfile(

@@ -16,8 +16,9 @@ Publish the recorded messages again: the same bytes, by their log time, on the s
 the recorded quality of service. Every rosbag2 bag of MCAP files can be played, compressed or not.
 Messages whose type belongs to no installed package, or which do not fit the type of their topic,
 are left out, and a note names them. After --start or a seek, the last earlier messages of latched
-topics are published first. /clock is played if it was recorded, as in every bag of Flock;
-otherwise the player publishes none.
+topics are published first. /clock is played if it was recorded, as in every bag of Flock; with
+--clock the player publishes its own instead, and otherwise none. Options are named as those of
+ros2 bag play; docs/flying.md tells what differs.
 
 On a terminal: space pauses, the right arrow plays the next message in a pause, up and down change
 the rate by a tenth, q ends it. The node /flock/player has the services of rosbag2's player:
@@ -33,6 +34,7 @@ EXAMPLES = """\
   ./flock play runs/demo --rate 1000
   ./flock play runs/demo --start 20 --duration 5 --loop
   ./flock play runs/demo --rate 0 --topics /clock /flock/bird_07/state
+  ./flock play drive_bag --clock --remap /camera:=/old/camera --exclude-topics /rosout
   ./flock play runs/demo --paused        and then, in another terminal:
   ros2 service call /flock/player/resume rosbag2_interfaces/srv/Resume"""
 
@@ -43,20 +45,53 @@ def tool(arguments: Sequence[str]) -> int:
     parser.add_argument("run", metavar="RUN", type=Path, help="directory of a bag, or .mcap file")
     parser.add_argument(
         "--rate",
+        "-r",
         metavar="X",
         default="1",
         help="recorded seconds per second (1); 0: as fast as possible",
     )
     parser.add_argument(
         "--start",
+        "--start-offset",
+        "-s",
         metavar="S",
         default="0",
         help="begin S recorded seconds after the first message (0)",
     )
-    parser.add_argument("--duration", metavar="S", help="play S recorded seconds (all)")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until stopped")
-    parser.add_argument("--paused", action="store_true", help="begin paused")
+    parser.add_argument(
+        "--duration", "--playback-duration", metavar="S", help="play S recorded seconds (all)"
+    )
+    parser.add_argument(
+        "--loop", "-l", action="store_true", help="begin again at the end, until stopped"
+    )
+    parser.add_argument(
+        "--paused", "--start-paused", "-p", action="store_true", help="begin paused"
+    )
+    parser.add_argument(
+        "--delay", "-d", metavar="S", default="0", help="wait S s before each start, also of a loop"
+    )
     parser.add_argument("--topics", metavar="T", nargs="+", help="play only these topics")
+    parser.add_argument(
+        "--exclude-topics", metavar="T", nargs="+", action="extend", help="do not play these topics"
+    )
+    parser.add_argument(
+        "--remap",
+        "-m",
+        metavar="OLD:=NEW",
+        nargs="+",
+        action="extend",
+        help="play the topic OLD of the bag under the name NEW",
+    )
+    parser.add_argument(
+        "--clock",
+        metavar="HZ",
+        nargs="?",
+        const="40",
+        help="publish recorded time on /clock, HZ times a second (40), and not a recorded /clock",
+    )
+    parser.add_argument(
+        "--disable-keyboard-controls", action="store_true", help="do not react to keys"
+    )
     parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
     options = parser.parse_args(arguments)

@@ -18,12 +18,13 @@ _KEY = re.compile(rb"\x1b[\[O][A-D]|.", re.DOTALL)
 
 
 @contextmanager
-def keyboard(begin: Callable[[], None]) -> Iterator[Callable[[], list[bytes]]]:
+def keyboard(begin: Callable[[], None], wanted: bool = True) -> Iterator[Callable[[], list[bytes]]]:
     """Give a function that returns the keys pressed since its last call, without waiting.
 
-    `begin` is called if keys can be read. The terminal is restored whenever the block ends.
+    `begin` is called if keys are `wanted` and can be read. The terminal is restored whenever the
+    block ends.
     """
-    if not (sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()):
+    if not (wanted and sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()):
         yield list
         return
     terminal = sys.stdin.fileno()

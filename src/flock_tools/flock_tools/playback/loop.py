@@ -12,6 +12,7 @@ from queue import Empty, Queue
 from typing import TypeVar
 
 from flock_sim.bag.reading.reader import Recorded
+from flock_sim.console.arguments import LONGEST as FASTEST
 from flock_tools.playback.schedule import Schedule
 
 LOOK_EVERY = 0.05
@@ -44,8 +45,11 @@ class Playback:
         meet: Callable[[], None] = lambda: None,
         waits: Callable[[float, int], None] = lambda left, stamp: None,
         leaves_out: Callable[[str, str], None] = lambda topic, reason: None,
+        tick: Callable[[int], None] = lambda at: None,
+        tick_every: float | None = None,
         begin: int | None = None,
         loop: bool = False,
+        delay: float = 0.0,
     ) -> None:
         """Play the messages that `read` yields from recorded time `begin`, in ns; None: all.
 
@@ -53,8 +57,9 @@ class Playback:
         recorded time or seeks to it, the messages that `before` returns for it are published first.
         `publish` raises NotPublishable. `meet` waits for listeners before time starts to run.
         `waits` is called once for a message that is due in more than `LONG` s. `leaves_out` is
-        called for the first message of a topic that can't be published, with the reason. With
-        `loop`, the playback starts again at the end.
+        called for the first message of a topic that can't be published, with the reason. `tick`
+        is called with the recorded time every `tick_every` s, in pauses too; None: never. With
+        `loop`, the playback starts again at the end. It waits `delay` s at each start.
         """
         self.schedule = schedule
         self.played: Counter[str] = Counter()
@@ -68,14 +73,17 @@ class Playback:
         self._waits = waits
         self._leaves_out = leaves_out
         self._span = span
+        self._tick = tick
+        self._tick_every = tick_every
         self._begin = begin
         self._loop = loop
+        self._delay = delay
         self._met = self._stopped = self._over = False
         # Not SimpleQueue: a signal near the end of its wait makes it wait for ever (Python 3.11).
         self._inbox: Queue[Callable[[], None]] = Queue()
         self._announced: int | None = None
         self._source = read(begin)
-        self._upcoming = next(self._source, None)
+        self._advance()
         self._first: Sequence[Recorded] = () if begin is None else before(begin)
 
     @property
@@ -118,8 +126,8 @@ class Playback:
             self.schedule.pause()
 
     def set_rate(self, rate: float) -> bool:
-        """Play at another rate. Return False if it is not above 0 and finite."""
-        if not 0.0 < rate < math.inf:
+        """Play at another rate. Return False if it is not above 0, at most `FASTEST`."""
+        if not 0.0 < rate <= FASTEST:
             return False
         self.schedule.set_rate(rate)
         return True
@@ -145,25 +153,29 @@ class Playback:
         self._stopped = True
 
     def _run(self, look: Callable[[], None]) -> None:
-        look_at = 0.0
+        look_at = time.monotonic()
+        tick_at = math.inf if self._tick_every is None else look_at
         while not self._stopped:
-            if time.monotonic() >= look_at:
+            if (now := time.monotonic()) >= look_at:
                 look()
                 look_at = time.monotonic() + LOOK_EVERY
+            if self._tick_every is not None and now >= tick_at:
+                self._tick(self.schedule.position)
+                tick_at = max(tick_at + self._tick_every, now)  # missed ticks are left out
             if not self._met and not self.schedule.paused:
                 self._go()
                 continue
             if self._upcoming is None and not self.schedule.paused:
                 if not self._loop:
                     break
-                self._go_to(self._begin)
-            if self._first and not self.schedule.paused:
+                self._go_to(self._begin, self._delay)
+            if self._first and self.schedule.running:
                 self._say_first()
                 continue
             left = self.schedule.left(self._upcoming[1]) if self._upcoming else math.inf
             if left > 0.0:
                 self._announce(left)
-                self._serve(min(left, LOOK_EVERY))
+                self._serve(min(left, LOOK_EVERY, tick_at - now))
             elif not self._inbox.empty():
                 self._serve(0.0)
             else:
@@ -173,7 +185,7 @@ class Playback:
         """Wait for listeners. Recorded time stands still meanwhile."""
         position = self.schedule.position
         self._meet()
-        self.schedule.jump(position)
+        self.schedule.jump(position, self._delay)
         self._met = True
 
     def _play(self) -> bool:
@@ -183,8 +195,13 @@ class Playback:
         topic, stamp, data = self._upcoming
         self._say(topic, data)
         self.schedule.reached(stamp)
-        self._upcoming = next(self._source, None)
+        self._advance()
         return True
+
+    def _advance(self) -> None:
+        """Read the next message."""
+        self._upcoming: Recorded | None = next(self._source, None)
+        self.schedule.upcoming = self._upcoming[1] if self._upcoming else None
 
     def _say_first(self) -> None:
         """Publish the latched messages from before the start or seek time."""
@@ -208,11 +225,11 @@ class Playback:
             self._announced = self._upcoming[1]
             self._waits(left, self._upcoming[1])
 
-    def _go_to(self, stamp: int | None) -> None:
+    def _go_to(self, stamp: int | None, delay: float = 0.0) -> None:
         self._source = self._read(stamp)
-        self._upcoming = next(self._source, None)
+        self._advance()
         self._first = () if stamp is None else self._before(stamp)
-        self.schedule.jump(self._span[0] if stamp is None else stamp)
+        self.schedule.jump(self._span[0] if stamp is None else stamp, delay)
 
     def _serve(self, wait: float) -> None:
         """Handle the next request in the inbox, if one is received within `wait` s."""

@@ -17,13 +17,16 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 
 from flock_sim.console.signals import Stop
 from flock_sim.messages import topics
 from flock_sim.messages.cdr import ENCAPSULATION
+from flock_sim.messages.types import Time
 from flock_sim.nodes.own_birds import announce
 from flock_sim.ros.endpoints import wait_until_heard
 from flock_tools.playback.loop import NotPublishable, Playback
+from flock_tools.playback.schedule import BILLION
 from flock_tools.playback.topics import Playable
 
 try:
@@ -45,6 +48,9 @@ NEWS, NOBODY = 0.5, 3.5
 after which it has none, in s. A listener that has discovered the player is discovered 0.1 s later;
 existing participants announce themselves every 3 s."""
 
+LATEST = 2**31 * BILLION - 1
+"""The latest time that a message of /clock can hold, in ns."""
+
 SERVED_WITHIN = 10.0
 """Longest wait of a service for the playback, which may be publishing, in s."""
 
@@ -53,9 +59,17 @@ class Player(Node):
     """Publishes recorded bytes, and serves `~/pause ~/resume ~/seek` and the like."""
 
     def __init__(
-        self, playable: Mapping[str, Playable], context: Context, own_birds: Sequence[str] = ()
+        self,
+        playable: Mapping[str, Playable],
+        context: Context,
+        own_birds: Sequence[str] = (),
+        *,
+        clock: bool = False,
     ) -> None:
-        """Create the publishers of `playable`; `own_birds` are names in the bag, for recorders."""
+        """Create the publishers of `playable`, and with `clock` that of /clock.
+
+        `own_birds` are names in the bag, for recorders.
+        """
         super().__init__(
             "player",
             namespace=topics.NAMESPACE,
@@ -69,6 +83,8 @@ class Player(Node):
             name: self.create_publisher(topic.type, name, topic.qos)
             for name, topic in playable.items()
         }
+        if clock:
+            self._outlets[topics.CLOCK_TOPIC] = self.create_publisher(Clock, topics.CLOCK_TOPIC, 1)
         self._room = {
             name: topic.qos.depth if topic.qos.history == HistoryPolicy.KEEP_LAST else AT_ONCE
             for name, topic in playable.items()
@@ -84,6 +100,10 @@ class Player(Node):
             self._outlets[topic].publish(data)
         except rclpy_implementation.RCLError as error:
             raise NotPublishable(f"{len(data)} bytes do not fit its type") from error
+
+    def tick(self, stamp: int) -> None:
+        """Publish recorded time `stamp`, in ns, on /clock. The player must have been given one."""
+        self.say(topics.CLOCK_TOPIC, Time.at(min(stamp, LATEST)).encode())
 
     def say_when_heard(self, topic: str, data: bytes) -> None:
         """Publish once listeners have acknowledged the messages that it would push out of a queue.
@@ -166,4 +186,4 @@ def check_cdr(data: bytes) -> None:
 
 def _stamp(recorded: Any) -> int:
     """Return a builtin_interfaces/Time in ns."""
-    return int(recorded.sec) * 1_000_000_000 + int(recorded.nanosec)
+    return int(recorded.sec) * BILLION + int(recorded.nanosec)

@@ -14,6 +14,8 @@ class Schedule:
     """Maps recorded time, in ns, to a monotonic clock, at a rate that can be changed.
 
     Due times are relative to one anchor, not to the previous message, so delays do not add up.
+    Recorded time does not pass `upcoming`, the time of the next message, before it is played. So a
+    player that was too slow for a rate does not hurry after a pause or at another rate.
     """
 
     def __init__(
@@ -29,11 +31,18 @@ class Schedule:
         self._rate = rate
         self._paused = paused
         self._anchor = (now(), origin)
+        self.upcoming: int | None = None
+        """Recorded time of the next message, in ns; None: no message follows."""
 
     @property
     def paused(self) -> bool:
         """Whether recorded time stands still."""
         return self._paused
+
+    @property
+    def running(self) -> bool:
+        """Whether recorded time runs: neither a pause nor a delay stops it."""
+        return not self._paused and self._now() >= self._anchor[0]
 
     @property
     def rate(self) -> float:
@@ -46,15 +55,16 @@ class Schedule:
         begun, origin = self._anchor
         if self._paused:
             return origin
-        return origin + round((self._now() - begun) * self._rate * BILLION)
+        reached = origin + round(max(self._now() - begun, 0.0) * self._rate * BILLION)
+        return reached if self.upcoming is None else min(reached, self.upcoming)
 
     def left(self, stamp: int) -> float:
         """Return the time until a message recorded at `stamp` is due, in s; 0 or less: now."""
         if self._paused:
             return math.inf
-        if self._rate == 0.0:
-            return 0.0
         begun, origin = self._anchor
+        if self._rate == 0.0:
+            return max(begun - self._now(), 0.0)
         return begun + (stamp - origin) / (self._rate * BILLION) - self._now()
 
     def reached(self, stamp: int) -> None:
@@ -62,9 +72,9 @@ class Schedule:
         if self._paused or self._rate == 0.0:
             self.jump(stamp)
 
-    def jump(self, stamp: int) -> None:
-        """Set the recorded time to `stamp`."""
-        self._anchor = (self._now(), stamp)
+    def jump(self, stamp: int, delay: float = 0.0) -> None:
+        """Set the recorded time to `stamp`, where it stands still for `delay` s."""
+        self._anchor = (self._now() + delay, stamp)
 
     def pause(self) -> None:
         """Stop recorded time."""
@@ -77,6 +87,6 @@ class Schedule:
         self._paused = False
 
     def set_rate(self, rate: float) -> None:
-        """Continue at another rate."""
-        self.jump(self.position)
+        """Continue at another rate, after the rest of a delay."""
+        self.jump(self.position, max(self._anchor[0] - self._now(), 0.0))
         self._rate = rate

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -13,7 +13,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from flock_sim.bag.reading.reader import BagReader, Stream
+from flock_sim.bag.reading.reader import BagReader, Recorded, Stream
 from flock_sim.errors import FlockError, nearest
 from flock_tools.playback.message_types import installed_hash, message_class
 
@@ -63,28 +63,59 @@ class Selection:
     topics: Mapping[str, Playable]
     skipped: Mapping[str, str]
     notes: Sequence[str] = ()
+    played_as: Callable[[str], str] = lambda name: expanded(name)
+    """Gives the name on which the messages of a recorded topic are played."""
 
     @property
     def streams(self) -> list[Stream]:
         """The streams of the bag that are read."""
         return [stream for topic in self.topics.values() for stream in topic.streams]
 
+    def renamed(self, messages: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Yield messages with the names of the topics on which they are played."""
+        return ((self.played_as(topic), stamp, data) for topic, stamp, data in messages)
 
-def select(bag: BagReader, wanted: Sequence[str] | None) -> Selection:
-    """Return the topics of `bag` to play: all that can be played, or those `wanted`.
 
-    Raises FlockError if a wanted topic is not in the bag or can't be played, or if no topic can.
+@dataclass(frozen=True)
+class Wishes:
+    """The topics that the user names, as they were recorded, with or without the slash."""
+
+    only: Sequence[str] | None = None
+    """Topics to play; None: all."""
+    without: Sequence[str] = ()
+    remap: Sequence[str] = ()
+    """Other names, as OLD:=NEW."""
+    reserved: Mapping[str, str] = field(default_factory=dict)
+    """Names on which no recorded topic is played, with the reason."""
+
+
+EVERYTHING = Wishes()
+
+
+def select(bag: BagReader, wishes: Wishes = EVERYTHING) -> Selection:
+    """Return the topics of `bag` to play: those of `wishes` that can be played.
+
+    Raises FlockError if a named topic is not in the bag, if one of those to play can't be played,
+    or if no topic can.
     """
+    recorded = {expanded(stream.topic) for stream in bag.streams}
+    only = _known("--topics", wishes.only or sorted(recorded), recorded)
+    without = _known("--exclude-topics", wishes.without, recorded)
+    new_name = _remapped(wishes.remap, recorded)
+
+    def played_as(name: str) -> str:
+        return new_name.get(expanded(name), expanded(name))
+
     found: dict[str, list[Stream]] = {}
     for stream in bag.streams:
-        found.setdefault(expanded(stream.topic), []).append(stream)
-    for name in wanted or ():
-        if expanded(name) not in found:
-            raise FlockError(f"--topics {name}: {nearest(name, sorted(found))}")
+        if expanded(stream.topic) in only.keys() - without.keys():
+            found.setdefault(played_as(stream.topic), []).append(stream)
+    if wishes.only:
+        found = {name: found[name] for name in map(played_as, only) if name in found}
     topics: dict[str, Playable] = {}
-    skipped: dict[str, str] = {}
+    skipped = {name: reason for name, reason in wishes.reserved.items() if name in found}
     notes: list[str] = []
-    for name in dict.fromkeys(map(expanded, wanted) if wanted else found):
+    for name in [name for name in found if name not in skipped]:
         topic, reasons = _playable(bag, name, found[name])
         if reasons:
             skipped[name] = "; ".join(reasons)
@@ -95,14 +126,41 @@ def select(bag: BagReader, wanted: Sequence[str] | None) -> Selection:
                     f"{name}: its queue depth of {topic.qos.depth} is reduced to {DEEPEST}"
                 )
                 topic.qos.depth = DEEPEST
-        elif wanted:
+        elif wishes.only:
             raise FlockError(f"--topics {name}: {skipped[name]}")
     if not topics:
         reasons = [f"{name}: {reason}" for name, reason in skipped.items()]
         raise FlockError(
             f"{bag.path}: none of its topics can be played ({'; '.join(reasons) or 'it has none'})"
         )
-    return Selection(topics, skipped, notes)
+    return Selection(topics, skipped, notes, played_as)
+
+
+def _known(option: str, names: Iterable[str], recorded: Collection[str]) -> dict[str, None]:
+    """Return expanded `names` in order. Raises FlockError if one is not `recorded`."""
+    for name in names:
+        if expanded(name) not in recorded:
+            raise FlockError(f"{option} {name}: {nearest(name, sorted(recorded))}")
+    return dict.fromkeys(map(expanded, names))
+
+
+def _remapped(rules: Iterable[str], recorded: Collection[str]) -> dict[str, str]:
+    """Return the new name of each recorded topic in `rules`. Raises FlockError if one is wrong."""
+    found: dict[str, str] = {}
+    for rule in rules:
+        old, between, new = rule.partition(":=")
+        try:
+            validate_full_topic_name(expanded(new))
+        except InvalidTopicNameException:
+            between = ""
+        if not between:
+            raise FlockError(
+                f"--remap {rule}: must be OLD:=NEW, a recorded topic and a name that ROS 2 allows"
+            )
+        (name,) = _known("--remap", [old], recorded)
+        if found.setdefault(name, expanded(new)) != expanded(new):
+            raise FlockError(f"--remap {rule}: {name} is already played as {found[name]}")
+    return found
 
 
 def expanded(name: str) -> str:

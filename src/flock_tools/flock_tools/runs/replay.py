@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import gc
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -16,11 +16,12 @@ import rclpy
 from rclpy.context import Context
 
 from flock_sim.bag.reading.reader import BagReader, Recorded
-from flock_sim.console.arguments import note
+from flock_sim.console.arguments import not_negative_number, note, positive_number
 from flock_sim.console.progress import playback_bar
 from flock_sim.console.signals import Stop
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
+from flock_sim.messages.topics import CLOCK_TOPIC
 from flock_sim.recording.own_parts import BIRD, recorded_parts
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.process import executing, ros_context
@@ -29,12 +30,15 @@ from flock_tools.playback.keyboard import DOWN, QUIT, RIGHT, SPACE, UP, keyboard
 from flock_tools.playback.loop import Playback
 from flock_tools.playback.player import Player
 from flock_tools.playback.schedule import BILLION, Schedule
-from flock_tools.playback.topics import Selection, expanded, select
+from flock_tools.playback.topics import Selection, Wishes, select
 
 KEYS = "space: pause or continue   right: next message   up, down: rate   q: end"
 
 LONGEST = 2**64 / BILLION
 """The longest recorded time, in s, that a bag can hold."""
+
+STORAGES = ("mcap", "sqlite3")
+"""What rosbag2's player takes after -s, which is the start here."""
 
 SOON = BILLION
 """Recorded time, in ns, within which a next message makes the latched one unnecessary."""
@@ -46,10 +50,14 @@ FASTER = 1.1
 def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[str, Any]:
     """Play `bag` by `options` until its end or `stop`. Return a summary.
 
-    Raises FlockError if the options select no message.
+    Raises FlockError if an option is invalid, or if the options select no message.
     """
     extract = _extract(bag, options)
-    selection = select(bag, options.topics)
+    delay = not_negative_number("--delay", options.delay)
+    clock = None if options.clock is None else positive_number("--clock", options.clock)
+    reserved = {} if clock is None else {CLOCK_TOPIC: "the player publishes its own (--clock)"}
+    wishes = Wishes(options.topics, options.exclude_topics or (), options.remap or (), reserved)
+    selection = select(bag, wishes)
     for name, reason in selection.skipped.items():
         some = "some of " if name in selection.topics else ""
         note(f"note: {some}{name} is left out: {reason}")
@@ -58,20 +66,23 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
     span, start = (extract.first, extract.last), extract.start
     schedule = Schedule(span[0] + start, rate, paused=options.paused)
     own_birds = [part.name for part in recorded_parts(bag.records) if part.kind == BIRD]
-    with results_only_on_stdout(), _player(selection, own_birds) as (player, spin):
+    with results_only_on_stdout(), _player(selection, own_birds, clock) as (player, spin):
         playback = Playback(
-            lambda at: _renamed(bag.by_time(selection.streams, at, extract.end)),
+            lambda at: selection.renamed(bag.by_time(selection.streams, at, extract.end)),
             player.say_when_heard if rate == 0.0 else player.say,
             schedule,
             span,
-            before=lambda at: list(_renamed(latched_before(bag, selection, at))),
+            before=lambda at: list(selection.renamed(latched_before(bag, selection, at))),
             meet=lambda: player.meet(stop),
             waits=lambda left, stamp: note(_long_wait(left, stamp - span[0])),
             leaves_out=lambda name, reason: note(
                 f"note: messages of {name} are left out: {reason}"
             ),
+            tick=player.tick,
+            tick_every=1.0 / clock if clock else None,
             begin=span[0] + start if start else None,
             loop=options.loop,
+            delay=delay,
         )
         if playback.empty:
             raise FlockError(
@@ -83,7 +94,7 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
         gc.freeze()  # avoids garbage collections of milliseconds over existing objects
         try:
             schedule.jump(span[0] + start)
-            _run(playback, span, stop)
+            _run(playback, span, stop, keys=not options.disable_keyboard_controls)
             player.wait_until_heard(stop)
         finally:
             gc.unfreeze()
@@ -138,7 +149,8 @@ def recorded_time(name: str, text: str, *, above: bool = False) -> int:
             raise InvalidOperation
     except InvalidOperation:
         least = "finite number above 0, at most" if above else "number from 0 to"
-        raise FlockError(f"{name} {text}: must be a {least} {LONGEST:g}") from None
+        storage = "; leave out -s, since a file tells its format" if text in STORAGES else ""
+        raise FlockError(f"{name} {text}: must be a {least} {LONGEST:g}{storage}") from None
     return round(value * BILLION)
 
 
@@ -156,16 +168,14 @@ def latched_before(bag: BagReader, selection: Selection, at: int) -> list[Record
     }
     if not latched:
         return []
-    going_on = {expanded(topic) for topic, *_ in bag.by_time(latched, at, at + SOON)}
+    soon = bag.by_time(latched, at, at + SOON)
+    going_on = {selection.played_as(topic) for topic, *_ in soon}
     wanted = {
-        stream: many for stream, many in latched.items() if expanded(stream.topic) not in going_on
+        stream: many
+        for stream, many in latched.items()
+        if selection.played_as(stream.topic) not in going_on
     }
     return bag.latest(wanted, at)
-
-
-def _renamed(messages: Iterable[Recorded]) -> Iterator[Recorded]:
-    """Yield messages with the names of the topics on which they are played."""
-    return ((expanded(topic), stamp, data) for topic, stamp, data in messages)
 
 
 def _long_wait(left: float, since: int) -> str:
@@ -177,13 +187,13 @@ def _long_wait(left: float, since: int) -> str:
 
 @contextmanager
 def _player(
-    selection: Selection, own_birds: Sequence[str]
+    selection: Selection, own_birds: Sequence[str], clock: float | None
 ) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and a function that starts to serve its services in another thread."""
     context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
     try:
         with executing("single", context) as executor:
-            player = Player(selection.topics, context, own_birds)
+            player = Player(selection.topics, context, own_birds, clock=clock is not None)
             executor.add_node(player)
             check_settings(context.get_domain_id())
             thread = Thread(target=executor.spin, daemon=True)
@@ -198,11 +208,11 @@ def _player(
         rclpy.try_shutdown(context=context)
 
 
-def _run(playback: Playback, span: tuple[int, int], stop: Stop) -> None:
-    """Play, and react to keys and signals meanwhile."""
+def _run(playback: Playback, span: tuple[int, int], stop: Stop, *, keys: bool) -> None:
+    """Play, and react to signals and, with `keys`, to keys meanwhile."""
     schedule = playback.schedule
     length = (span[1] - span[0]) / BILLION
-    with keyboard(lambda: note(KEYS)) as pressed, playback_bar(length) as show:
+    with keyboard(lambda: note(KEYS), keys) as pressed, playback_bar(length) as show:
 
         def look() -> None:
             for key in pressed():
