@@ -267,6 +267,41 @@ def test_a_bag_of_every_fault_is_played_around_its_faults(
     assert "/map: its queue depth of 2147483648 is reduced" in done.stderr
 
 
+def test_the_clock_of_the_player_and_other_names_are_heard(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    recorded_clock, said = Channel("/clock", type="rosgraph_msgs/msg/Clock"), Channel("words")
+    wrong = bytes(serialize_message(Clock(clock=Stamp(sec=77))))
+    messages: list[Message] = [(recorded_clock, 5.0, wrong)]
+    messages += [(said, 5.0 + k / 100, word(f"number {k}")) for k in range(51)]
+    write_bag(terminal.directory / "bag", messages)
+    order: list[str] = []
+    times: list[int] = []
+
+    def hear_time(clock: Clock) -> None:
+        times.append(clock.clock.sec * SECOND + clock.clock.nanosec)
+
+    visitor.node.create_subscription(Clock, "/clock", hear_time, DEEP)
+    visitor.node.create_subscription(String, "/other", lambda said: order.append(said.data), DEEP)
+    options = ("--clock", 100, "--remap", "/words:=other", "-p", "--json")
+    job = terminal.start("play", "bag", *options)
+    until_met(visitor)
+    visitor.until(lambda: len(times) > 2)
+    assert set(times) == {5 * SECOND}  # in the pause at the beginning
+    for _ in range(3):
+        assert ask(visitor, "PlayNext").success
+    visitor.until(lambda: times[-1] == 5 * SECOND + 2 * SECOND // 100)
+    ask(visitor, "Resume")
+    visitor.until(lambda: len(order) == 51)
+    done = job.wait()
+    assert done.status == 0, done.stderr
+    assert order == [f"number {k}" for k in range(51)]
+    assert done.json["topics"] == {"/other": 51}
+    assert "/clock is left out: the player publishes its own" in done.stderr
+    assert times == sorted(times)
+    assert times[-1] <= 5.5 * SECOND
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -23,7 +23,8 @@ ros2 bag play; docs/flying.md tells what differs.
 On a terminal: space pauses, the right arrow plays the next message in a pause, up and down change
 the rate by a tenth, q ends it. The node /flock/player has the services of rosbag2's player:
 ~/pause, ~/resume, ~/toggle_paused, ~/is_paused, ~/set_rate, ~/get_rate, ~/seek, ~/play_next and
-~/stop.
+~/stop. Their types are those of rosbag2_interfaces where it is installed, and otherwise the copies
+in flock_interfaces.
 
 Recorded states have run id 0, so no flight accepts them; ./flock recorder records them with
 -p played:=true. Nodes that you started by hand, and that wait for their clock, would accept a
@@ -36,7 +37,7 @@ EXAMPLES = """\
   ./flock play runs/demo --rate 0 --topics /clock /flock/bird_07/state
   ./flock play drive_bag --clock --remap /camera:=/old/camera --exclude-topics /rosout
   ./flock play runs/demo --paused        and then, in another terminal:
-  ros2 service call /flock/player/resume rosbag2_interfaces/srv/Resume"""
+  ros2 service call /flock/player/resume flock_interfaces/srv/Resume"""
 
 
 def tool(arguments: Sequence[str]) -> int:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The installed message types, by their names in a bag."""
+"""The installed message types, by their names in a bag, and the service types of the player."""
 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -41,6 +42,19 @@ def message_class(name: str) -> Any:
     except _NOT_HERE as error:
         raise ValueError(unknown) from error
     return found
+
+
+def service_class(name: str) -> Any:
+    """Return the class of a service of rosbag2's player, such as Pause.
+
+    It is that of rosbag2_interfaces where that is installed and has it, so that its clients can
+    call the service, and otherwise the copy of flock_interfaces. A service name has one type only.
+    """
+    with suppress(*_NOT_HERE):
+        found = getattr(import_module("rosbag2_interfaces.srv"), name)
+        check_for_type_support(found)
+        return found
+    return getattr(import_module("flock_interfaces.srv"), name)
 
 
 def installed_hash(name: str) -> str | None:

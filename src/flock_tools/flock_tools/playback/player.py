@@ -26,13 +26,9 @@ from flock_sim.messages.types import Time
 from flock_sim.nodes.own_birds import announce
 from flock_sim.ros.endpoints import wait_until_heard
 from flock_tools.playback.loop import NotPublishable, Playback
+from flock_tools.playback.message_types import service_class
 from flock_tools.playback.schedule import BILLION
 from flock_tools.playback.topics import Playable
-
-try:
-    from rosbag2_interfaces import srv
-except ImportError:
-    from flock_interfaces import srv
 
 MEET_TIMEOUT = 10.0
 """Longest wait for listeners, in s; lost messages are detected every 3 s."""
@@ -154,15 +150,15 @@ class Player(Node):
         """Create the services that control `playback`."""
         schedule = playback.schedule
         for kind, name, operate, result in (
-            (srv.Pause, "pause", lambda _: schedule.pause(), None),
-            (srv.Resume, "resume", lambda _: schedule.resume(), None),
-            (srv.TogglePaused, "toggle_paused", lambda _: playback.toggle_paused(), None),
-            (srv.IsPaused, "is_paused", lambda _: schedule.paused, "paused"),
-            (srv.SetRate, "set_rate", lambda asked: playback.set_rate(asked.rate), "success"),
-            (srv.GetRate, "get_rate", lambda _: schedule.rate, "rate"),
-            (srv.Seek, "seek", lambda asked: playback.seek(_stamp(asked.time)), "success"),
-            (srv.PlayNext, "play_next", lambda _: playback.play_next(), "success"),
-            (srv.Stop, "stop", lambda _: playback.stop(), None),
+            ("Pause", "pause", lambda _: schedule.pause(), None),
+            ("Resume", "resume", lambda _: schedule.resume(), None),
+            ("TogglePaused", "toggle_paused", lambda _: playback.toggle_paused(), None),
+            ("IsPaused", "is_paused", lambda _: schedule.paused, "paused"),
+            ("SetRate", "set_rate", lambda asked: playback.set_rate(asked.rate), "success"),
+            ("GetRate", "get_rate", lambda _: schedule.rate, "rate"),
+            ("Seek", "seek", lambda asked: playback.seek(_stamp(asked.time)), "success"),
+            ("PlayNext", "play_next", lambda _: playback.play_next(), "success"),
+            ("Stop", "stop", lambda _: playback.stop(), None),
         ):
 
             def answer(
@@ -175,7 +171,7 @@ class Player(Node):
                         setattr(response, result, value)
                 return response
 
-            self.create_service(kind, f"~/{name}", answer)
+            self.create_service(service_class(kind), f"~/{name}", answer)
 
 
 def check_cdr(data: bytes) -> None:
