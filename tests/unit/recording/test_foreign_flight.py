@@ -140,6 +140,21 @@ def test_a_live_flight_that_another_program_recorded_is_a_run_again(
         assert [str(push) for push in run.perturbations()] == [str(push.each(2)[0])]
 
 
+@pytest.mark.parametrize("grants", [True, False])
+def test_a_played_flight_that_was_recorded_by_its_clock_is_a_run_again(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], grants: bool
+) -> None:
+    # The times of reception follow /clock, a little late, but for the first row.
+    told = [(topic, time and time + 10**4, data) for topic, time, data in messages(flight)]
+    theirs = write_theirs(tmp_path / "theirs.mcap", [grant(), *told] if grants else told)
+    file = tmp_path / "flock.yaml"
+    file.write_text(text(CONFIGURATION.parameters()), encoding="utf-8")
+    config = [] if grants else ["--config", str(file)]
+    assert "./flock repair" in error_of(metrics.tool, capsys, str(theirs))
+    json_of(repair.tool, capsys, str(theirs), "--output", str(tmp_path / "again"), *config)
+    assert json_of(compare.tool, capsys, str(tmp_path / "again"), str(flight))["equal"] is True
+
+
 def test_steps_that_were_not_heard_are_told(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

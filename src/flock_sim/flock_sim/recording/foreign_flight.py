@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,9 @@ from flock_sim.recording.flight_bag import (
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.row_assembler import Row
 
+FEW = 10
+"""Number of states whose times are checked."""
+
 
 def needed_repair(bag: BagReader) -> str | None:
     """Return what a flight in `bag` needs before it can be read as a run; None: nothing.
@@ -43,14 +47,14 @@ def needed_repair(bag: BagReader) -> str | None:
             f"{bag.path}: another program wrote this bag, without the configuration of the flight;"
             f" give it: ./flock repair {bag.path} --config FILE"
         )
-    for _, time, data in bag.messages([first]):
+    # The first times may agree by chance: a recorder that follows /clock begins at 0, too.
+    for _, time, data in islice(bag.messages([first]), FEW):
         with suppress(ValueError):
             if State.envelope(data) != (0, 0) or _stamp(State.decode(data)) != time:
                 return (
                     f"{bag.path}: another program recorded this flight, with the times at which it"
                     f" received the messages; make a run of it: ./flock repair {bag.path}"
                 )
-        break
     return None
 
 
