@@ -53,3 +53,24 @@ def test_keys_pause_step_change_the_rate_and_end(terminal: Terminal, visitor: Vi
     finally:
         os.close(keys)
         os.close(screen)
+
+
+def test_keys_have_no_effect_if_they_are_disabled(terminal: Terminal, visitor: Visitor) -> None:
+    terminal.well("reference", "--birds", 2, "--t-max", 100, "--output", "bag")
+    keys, screen = pty.openpty()
+    try:
+        before = termios.tcgetattr(screen)
+        job = terminal.start(
+            *("play", "bag", "--start-paused", "--disable-keyboard-controls"),
+            stdin=screen,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        assert visitor.ask(srv.IsPaused, "/flock/player/is_paused").paused
+        assert termios.tcgetattr(screen) == before
+        visitor.ask(srv.Stop, "/flock/player/stop")
+        done = job.wait()
+        assert done.status == 0
+        assert "space: pause" not in done.stderr
+    finally:
+        os.close(keys)
+        os.close(screen)

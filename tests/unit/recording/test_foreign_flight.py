@@ -110,7 +110,7 @@ def test_a_converted_reference_is_a_run_again_with_its_configuration(
     file = tmp_path / "flock.yaml"
     file.write_text(text(CONFIGURATION.parameters()), encoding="utf-8")
     facts = json_of(repair.tool, capsys, str(theirs), "--config", str(file), "--output", str(again))
-    assert facts["messages"] == 3 * 101
+    assert facts["messages"] == len(messages(flight)) == len(messages(again))
     assert json_of(compare.tool, capsys, str(again), str(flight))["equal"] is True
     with Run(again) as run, Run(flight) as flown:
         assert run.state_digest == flown.state_digest
@@ -133,7 +133,8 @@ def test_a_live_flight_that_another_program_recorded_is_a_run_again(
     line = error_of(metrics.tool, capsys, str(theirs))
     assert f"make a run of it: ./flock repair {theirs}" in line
     facts = json_of(repair.tool, capsys, str(theirs), "--output", str(tmp_path / "again"))
-    assert (facts["messages"], facts["missing_steps"], facts["left_out"]) == (3 * 101, [], 2)
+    assert (facts["missing_steps"], facts["left_out"]) == ([], 2)
+    assert facts["messages"] == len(messages(flight)) + 1 == len(messages(tmp_path / "again"))
     with Run(tmp_path / "again") as run, Run(flight) as flown:
         assert run.state_digest == flown.state_digest
         assert list(run.wings()) == [1, 2, 3]

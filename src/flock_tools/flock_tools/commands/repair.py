@@ -266,6 +266,7 @@ def _of_others(options: argparse.Namespace, output: Path) -> dict[str, Any] | No
         flight = ForeignFlight(bag, flock_configuration(options) if options.config else None)
         with own_output(output, options.force) as owned:
             rows = write_flight(flight, output, replace=owned.replaces)
+        birds = flight.configuration.birds
         return {
             "run": str(options.run),
             "output": str(output),
@@ -273,7 +274,8 @@ def _of_others(options: argparse.Namespace, output: Path) -> dict[str, Any] | No
             "broken": None,
             "cut": None,
             "missing_steps": flight.missing_steps,
-            "messages": rows * flight.configuration.birds,
+            # Wings, then /clock and all states in each row, and pushes.
+            "messages": birds + rows * (1 + birds) + len(flight.pushes),
             "left_out": flight.left_out,
             "invalid_perturbations": 0,
         }
@@ -298,7 +300,7 @@ def described(facts: Mapping[str, Any]) -> str:
     if facts["invalid_perturbations"]:
         lines.append(f"{facts['invalid_perturbations']} invalid perturbations are left out")
     if facts["left_out"]:
-        lines.append(f"{facts['left_out']} messages on topics that Flock does not use are left out")
+        lines.append(f"{facts['left_out']} messages that are no part of the flight are left out")
     lines.append(f"{facts['messages']} intact messages are in {facts['output']}")
     if facts["cut"]:
         lines.append(facts["cut"])
