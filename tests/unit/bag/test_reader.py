@@ -2,6 +2,7 @@
 """Reading Flock's bags, foreign bags, and files that are no bags."""
 
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -122,6 +123,35 @@ def test_two_metadata_records_of_one_name_need_no_scan(
     with BagReader(path) as bag:
         assert bag.metadata("rosbag2") == {"serialized_metadata": "at last"}
         assert bag.message_counts == {"/words": 1}
+
+
+@pytest.mark.parametrize("size", [7, 1 << 31])
+def test_a_damaged_index_of_a_chunk_hides_no_message(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=100, enable_crcs=False)
+        writer.start("ros2", "theirs")
+        channel = writer.register_channel("/words", "cdr", 0)
+        for time in range(50):
+            writer.add_message(channel, time, bytes(10), time)
+        writer.finish()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    index = summary.chunk_indexes[1]
+    fields = struct.pack(
+        "<QQQQ",
+        *(index.message_start_time, index.message_end_time),
+        *(index.chunk_start_offset, index.chunk_length),
+    )
+    content = path.read_bytes()
+    assert content.count(fields) == 1
+    at = content.index(fields) + len(fields)
+    path.write_bytes(content[:at] + struct.pack("<I", size) + content[at + 4 :])
+    with BagReader(path) as bag:
+        assert [time for _, time, _ in bag.messages()] == list(range(50))
+        assert bag.missing is not None
+        assert "the summary is damaged (the channels in the index" in bag.missing
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
