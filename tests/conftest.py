@@ -16,6 +16,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import HealthCheck, settings
 
+from flock_sim.console.fault import TRACEBACK
 from support.terminal import Terminal, open_terminal
 
 if TYPE_CHECKING:
@@ -38,9 +39,10 @@ settings.load_profile("repeatable")
 def _own_environment() -> Iterator[None]:
     """Restore the environment, which tools that run in this process change.
 
-    Otherwise, a later test would use the DDS settings of an earlier one.
+    Otherwise, a later test would use the DDS settings of an earlier one. An exception that no tool
+    has foreseen is raised, so that no test takes the line on it for an error of the user.
     """
-    with patch.dict(os.environ):
+    with patch.dict(os.environ, {TRACEBACK: "1"}):
         yield
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 
@@ -47,7 +48,36 @@ def test_arguments_come_from_the_command_line(monkeypatch: pytest.MonkeyPatch) -
     assert run_tool(lambda arguments: len(arguments)) == 2
 
 
-def test_a_mistake_of_ours_is_not_dressed_up_as_the_users() -> None:
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (ZeroDivisionError("division by zero"), "ZeroDivisionError: division by zero, at "),
+        (MemoryError(), "MemoryError, at "),
+        (RecursionError("too deep"), "RecursionError: too deep, at "),
+        (OSError(5, "Input/output error", "a\x1b.yaml"), r"(file a\x1b.yaml), at "),
+        (KeyError("\x1b]0;x\x07" + "k" * 5000), "KeyError: '"),
+    ],
+    ids=lambda case: type(case).__name__,
+)
+def test_a_fault_of_flock_is_one_line_and_has_its_own_status(
+    error: Exception,
+    kind: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("FLOCK_TRACEBACK")
+    assert raising(error) == 70
+    line = capsys.readouterr().err
+    assert line.startswith("error: a fault of Flock: ")
+    assert kind in line
+    assert re.search(r", at unit/console/test_arguments\.py:\d+ in tool; ", line)
+    assert "FLOCK_TRACEBACK=1" in line
+    assert line[:-1].isprintable()
+    assert len(line) < 400
+
+
+def test_a_fault_of_flock_is_raised_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FLOCK_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         raising(ZeroDivisionError())
 

@@ -39,7 +39,7 @@ def digest(file: Path) -> str:
 
 # source (None: no file), name of the law -> words of the message
 REFUSED = [
-    (None, "pull", ["laws.py", "No such file", "name a readable Python file"]),
+    (None, "pull", ["laws.py", "No such file", "name a readable law file"]),
     ("def pull(force)\n    return force\n", "pull", ["laws.py, line 1", "SyntaxError"]),
     ("import math\nimport wind_tunnel\n", "pull", ["line 2", "ModuleNotFoundError", "wind_tunnel"]),
     (

@@ -4,13 +4,13 @@
 Without ROS 2, a copy of the definitions of Flock's own messages, in `definitions.json`, is used.
 """
 
-import json
 import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from flock_sim.errors import FlockError
+from flock_sim.outside import json_text
 
 COPIES = Path(__file__).with_name("definitions.json")
 """The definitions of all types that a flight's bag has, by `tools/message_definitions.py`."""
@@ -62,7 +62,7 @@ def installed_definition(type_name: str) -> Definition:
 
 @cache
 def _copies() -> dict[str, Definition]:
-    entries = json.loads(COPIES.read_text(encoding="utf-8"))
+    entries = json_text.parse(COPIES.read_text(encoding="utf-8"))
     return {entry["type"]: Definition(**entry) for entry in entries}
 
 
@@ -88,7 +88,7 @@ def _nested_types(text: str, package: str) -> list[str]:
 
 def _type_hash(type_name: str) -> str:
     try:
-        for entry in json.loads(_read(type_name, ".json"))["type_hashes"]:
+        for entry in json_text.parse(_read(type_name, ".json"))["type_hashes"]:
             if entry["type_name"] == type_name:
                 return str(entry["hash_string"])
     except (ValueError, LookupError, TypeError) as error:

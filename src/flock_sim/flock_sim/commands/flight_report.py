@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flock_sim.console.arguments import note, print_json
+from flock_sim.console.arguments import note, print_json, print_text
 from flock_sim.recording.output_directory import Output, own_new_output, own_output
 
 if TYPE_CHECKING:
@@ -74,18 +74,18 @@ def report(flight: dict[str, Any], configuration: FlockConfiguration, as_json: b
         print_json({key: value for part in (*said, flight) for key, value in part.items()})
         return
     if metrics is not None and means is not None and verdicts is not None:
-        print(summary(metrics, means, verdicts))
+        print_text(summary(metrics, means, verdicts))
     if fresh is not None:
-        print("\n".join(fresh.told()))
+        print_text("\n".join(fresh.told()))
     if flight["wall_seconds"]:
-        print(
+        print_text(
             f"flown: {last} steps, {flight['steps_per_second']:.0f} steps/s, "
             f"{flight['wall_seconds']:.1f} s in all"
         )
     if flight.get("rewinds"):
-        print(
+        print_text(
             f"recovered: {flight['restarts']} processes restarted, {flight['rewinds']} rewinds "
             f"to the last step on disk, {flight['steps_flown_again']} steps flown again"
         )
     if metrics is not None:
-        print(f"bag:   {flight['output']}")
+        print_text(f"bag:   {flight['output']}")

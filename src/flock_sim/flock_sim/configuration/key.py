@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from flock_sim.console.arguments import shown
 from flock_sim.errors import FlockError, nearest
+from flock_sim.outside.printing import shown
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,12 @@ import operator
 from dataclasses import dataclass
 from typing import Any
 
-from flock_sim.console.arguments import positive_number, shown, whole_number
+from flock_sim.console.arguments import (
+    positive_number,
+    whole_number,
+)
 from flock_sim.errors import FlockError, nearest
+from flock_sim.outside.printing import shown
 
 
 @dataclass(frozen=True)

@@ -19,55 +19,18 @@ import yaml
 
 from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError, nearest
+from flock_sim.outside import yaml_text
 
 SECTION = "/**"
 PARAMETERS = "ros__parameters"
 
 DEEPEST = 16
-"""Most parts of the name of a node or a parameter: a YAML document can refer to itself."""
+"""Most parts of the name of a node or a parameter."""
 
 _NODES = re.compile(r"(/(\w+|\*\*?))+", re.ASCII)
 
 
-class _Loader(yaml.SafeLoader):
-    """A safe loader that refuses two equal keys, instead of taking the last one."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                mark = node.start_mark
-                raise yaml.constructor.ConstructorError(None, None, f"{key!r} is given twice", mark)
-        return super().construct_mapping(node, deep)
-
-
-# The loader reads YAML 1.1, which has no numbers such as 1e4. ROS and YAML 1.2 have them.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
-def content(path: Path, called: str) -> Any:
-    """Return the content of the YAML file `path`; `called` names its kind in errors.
-
-    Raises FlockError if it can't be read, is not YAML, or gives a key twice.
-    """
-    try:
-        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise FlockError(f"{called} {path}: {reason}; name a readable {called}") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "cannot be read"
-        raise FlockError(f"{called} {path}: not YAML{place} ({problem})") from error
-    except (ValueError, RecursionError) as error:
-        raise FlockError(
-            f"{called} {path}: contains a number with too many digits, or is nested too deep"
-        ) from error
+CALLED = "configuration file"
 
 
 @dataclass(frozen=True)
@@ -134,7 +97,7 @@ def sections(*paths: Path) -> Sections:
     """Return the sections of the files; later files win. Raises FlockError as `read` does."""
     found: dict[str, dict[str, Any]] = {}
     for path in paths:
-        for name, parameters in _sections(path, content(path, "configuration file"), ""):
+        for name, parameters in _sections(path, yaml_text.read(path, CALLED), ""):
             found.setdefault(name, {}).update(parameters)
     return Sections(found)
 

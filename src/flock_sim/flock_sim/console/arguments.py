@@ -11,8 +11,11 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+from flock_sim.console.fault import TRACEBACK, fault
 from flock_sim.console.signals import Ended, Endings
+from flock_sim.console.stdout import open_missing_streams
 from flock_sim.errors import FlockError, RunFailed, closest
+from flock_sim.outside.printing import one_line, printable, shown
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141
@@ -23,8 +26,8 @@ LONGEST = 1e9
 MOST = 2**53
 """The largest whole number that an option takes, unless it says otherwise."""
 
-LONGEST_TEXT = 60
-"""Most characters of a value that are shown in an error."""
+FAULT = 70
+"""Exit status after an exception that is a fault of Flock; EX_SOFTWARE of sysexits.h."""
 
 program = "./flock"
 """The command that runs the tools of this process."""
@@ -85,11 +88,6 @@ def whole_number(name: str, text: str, least: int, most: int | None = None) -> i
     return value
 
 
-def shown(text: str) -> str:
-    """Return `text` for use in an error, at most LONGEST_TEXT characters and an ellipsis."""
-    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}..."
-
-
 def whole_numbers(name: str, text: str, least: int, most: int | None = None) -> list[int]:
     """Return the whole numbers in `text`, between commas. Raises FlockError as `whole_number`."""
     try:
@@ -138,22 +136,29 @@ def print_json(value: dict[str, Any]) -> None:
 
 
 def note(line: str) -> None:
-    """Print a line that is no result on stderr, so that stdout has results only."""
-    print(printable(line), file=sys.stderr, flush=True)
+    """Print a line that is no result on stderr, so that stdout has results only.
 
-
-def printable(line: str) -> str:
-    """Return `line` with line ends and terminal control characters escaped.
-
-    Names from a file or a message may contain them.
+    Its names may come from a file or a message.
     """
-    if line.isprintable():
-        return line
-    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in line)
+    try:
+        print(one_line(line), file=sys.stderr, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError:  # a full device: no line can tell it
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+
+
+def print_text(text: str) -> None:
+    """Print lines of a result on stdout. Their names may come from a file or a message."""
+    print("\n".join(map(printable, text.split("\n"))))
 
 
 def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | None = None) -> int:
-    """Run `tool` and return its exit status: 0, 1 (answer is no), 2 (bad input), 130 (Ctrl-C)."""
+    """Run `tool` and return its exit status.
+
+    It is 0, 1 (answer is no), 2 (bad input), 70 (a fault of Flock) or 130 (Ctrl-C).
+    """
+    open_missing_streams()
     try:
         with Endings():
             try:
@@ -161,15 +166,26 @@ def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | No
             finally:
                 _flush()  # here, so that Python can't fail to write at its exit
     except FlockError as error:
-        note(f"error: {error}")
-        return error.exit_status
+        return _ended(f"error: {error}", error.exit_status)
     except KeyboardInterrupt as error:
-        note("stopped")
-        return error.status if isinstance(error, Ended) else INTERRUPTED
+        return _ended("stopped", error.status if isinstance(error, Ended) else INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output has closed it: no more output is possible.
         _forget_output()
         return BROKEN_PIPE
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        return _ended(f"error: {fault(error)}", FAULT)
+
+
+def _ended(line: str, status: int) -> int:
+    """Print the last line of a tool. Return its exit status, also if the line can't be printed."""
+    try:
+        note(line)
+    except BrokenPipeError:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    return status
 
 
 def _flush() -> None:

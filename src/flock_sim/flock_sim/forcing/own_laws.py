@@ -31,6 +31,8 @@ from flock_sim.forcing.registry import (
     own_laws,
 )
 from flock_sim.links.source_digest import digest_of_source, source_digest
+from flock_sim.outside import json_text
+from flock_sim.outside.text import read_bytes
 
 GROUP = "flock.forcing"
 """The group of entry points of laws in installed packages."""
@@ -57,7 +59,7 @@ def place(recorded: Mapping[str, str], given: Iterable[str], where: str) -> None
     installed packages; `where` names the bag. Raises FlockError if a law is not among them, if its
     digest differs, or if one of `given` is not of use.
     """
-    files = {text: digest_of_source(_source(Path(text))) for text in given if text.endswith(".py")}
+    files = {text: _digest(Path(text)) for text in given if text.endswith(".py")}
     installed = [text for text in given if text not in files]
     used = set()
     for name, digest in recorded.items():
@@ -103,7 +105,7 @@ def _changed(where: str, name: str, digest: str, found: Mapping[str, str]) -> st
 
 def _places() -> dict[str, str]:
     try:
-        found = json.loads(os.environ.get(PLACES, "{}"))
+        found = json_text.parse(os.environ.get(PLACES, "{}"))
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
@@ -115,7 +117,7 @@ def _loaded(name: str) -> Any:
     if is_file_law(name):
         path, _, function = name.rpartition(":")
         file = Path(_places().get(name, path))
-        source = _source(file)
+        source = read_bytes(file, "law file")
         digest = digest_of_source(source)
         known = model_of(name)
         if known and known.digest == digest:
@@ -129,13 +131,8 @@ def _loaded(name: str) -> Any:
         raise FlockError(f"{called}: {error}") from error
 
 
-def _source(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise FlockError(
-            f"law file {file}: {error.strerror or error}; name a readable Python file"
-        ) from error
+def _digest(file: Path) -> str:
+    return digest_of_source(read_bytes(file, "law file"))
 
 
 def _run(file: Path, source: bytes, digest: str) -> ModuleType:

@@ -12,6 +12,7 @@ from typing import Any
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.forcing.registry import digests_of
+from flock_sim.outside import json_text
 
 LONGEST_VALUE = 40
 """Most characters of a value that are shown."""
@@ -76,7 +77,7 @@ def check_handshake(
     if said == expected:
         return
     theirs = _object(said)
-    ours = json.loads(expected)
+    ours = json_text.parse(expected)
     different = [
         f"{key} = {_shown(ours.get(key))} where the clock has {_shown(theirs.get(key))}"
         for key in {**ours, **theirs}
@@ -89,10 +90,7 @@ def check_handshake(
 
 def _object(said: str) -> dict[str, Any]:
     """Return the JSON object that `said` is. Raises ValueError if it is none."""
-    try:
-        found = json.loads(said)
-    except RecursionError:
-        raise ValueError("terms: too deep") from None
+    found = json_text.parse(said)
     if not isinstance(found, dict):
         raise ValueError("terms: not an object")
     return found

@@ -16,6 +16,7 @@ from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.handshake import check_handshake, read_handshake
+from flock_sim.outside import json_text
 from flock_sim.recording.machine import Machine
 from flock_sim.recording.own_parts import LAW, digests, own_records, recorded_parts
 
@@ -83,7 +84,7 @@ def recorded_configuration(bag: BagReader) -> FlockConfiguration:
     if CONFIGURATION_RECORD not in bag.records and topics.GRANT_TOPIC in bag.topics:
         return granted_configuration(bag)[0]
     record = bag.metadata(CONFIGURATION_RECORD)
-    values = {key: json.loads(value) for key, value in record.items()}
+    values = {key: json_text.parse(value) for key, value in record.items()}
     values.pop("flock_version", None)
     return FlockConfiguration.from_parameters(values)
 
@@ -109,7 +110,7 @@ def recorded_factor(bag: BagReader) -> float:
     try:
         if CONFIGURATION_RECORD not in bag.records:
             return granted_configuration(bag)[1]
-        return float(json.loads(bag.metadata(_FREE_RECORD)[_FACTOR]))
+        return float(json_text.parse(bag.metadata(_FREE_RECORD)[_FACTOR]))
     except (KeyError, TypeError, ValueError) as error:
         raise FlockError(
             f"{bag.path}: the real-time factor can't be read ({error}); take another copy of "

@@ -27,6 +27,11 @@ from flock_sim.bag.directory import (
 )
 from flock_sim.bag.lock import is_locked, lock
 from flock_sim.errors import FlockError, RunFailed
+from flock_sim.outside.printing import shown
+
+LONGEST_NAME = 230
+"""Longest name of a bag's directory, in bytes: the names of its files are longer, and systems allow
+255 bytes."""
 
 ORPHAN_TIMEOUT = 5.0
 """Longest wait, in s, for the end of a recorder whose owner was killed."""
@@ -91,6 +96,7 @@ def own_output(path: str | Path, force: bool) -> Output:
     has changed then.
     """
     output = Path(path)
+    _check_name(output)
     try:
         if not output.exists():
             _make(output)
@@ -171,6 +177,22 @@ def _wait_for_orphan(directory: Path) -> None:
         if time.monotonic() > deadline:
             raise BlockingIOError
         time.sleep(0.05)  # a poll: the release of a lock sends no event
+
+
+def _check_name(directory: Path) -> None:
+    """Raise FlockError if the names of a bag's files can't be made of that of its directory."""
+    name = os.path.basename(os.path.realpath(directory))
+    try:
+        size = len(name.encode())
+    except UnicodeEncodeError as error:  # metadata.yaml names the files, in UTF-8
+        raise FlockError(
+            f"output {directory}: its name is not UTF-8 text: name another --output"
+        ) from error
+    if size > LONGEST_NAME:
+        raise FlockError(
+            f"output {shown(str(directory))}: its name has {size} bytes; {LONGEST_NAME} are the "
+            "limit: name another --output"
+        )
 
 
 def _make(directory: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -26,6 +25,7 @@ from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import in_order
 from flock_sim.messages.state import VALUES
 from flock_sim.messages.state_layout import members_of, steps_of, values_of
+from flock_sim.outside import json_text
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
@@ -98,7 +98,7 @@ class Run:
     def _unknown_link_models(self) -> list[str]:
         """Return the recorded link models that this process lacks; none if it can't be read."""
         with suppress(KeyError, TypeError, ValueError, FlockError):
-            links = json.loads(self.bag.metadata(CONFIGURATION_RECORD)["links"])
+            links = json_text.parse(self.bag.metadata(CONFIGURATION_RECORD)["links"])
             return unknown_link_models(links)
         return []
 

@@ -10,8 +10,11 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from flock_sim.console.arguments import note, shown
+from flock_sim.console.arguments import (
+    note,
+)
 from flock_sim.errors import FlockError, nearest
+from flock_sim.outside.printing import shown
 
 DOMAIN = "ROS_DOMAIN_ID"
 LAST_DOMAIN = 232

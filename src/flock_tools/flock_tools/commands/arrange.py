@@ -16,8 +16,14 @@ from flock_sim.configuration.options import (
     add_flock_option,
     flock_configuration,
 )
-from flock_sim.console.arguments import Parser, print_json, run_tool, shown
+from flock_sim.console.arguments import (
+    Parser,
+    print_json,
+    print_text,
+    run_tool,
+)
 from flock_sim.errors import FlockError
+from flock_sim.outside.printing import shown
 from flock_tools.commands.options import add_picture_options, check_links_exact, check_unforced
 from flock_tools.figures.output import check_picture, write_picture
 
@@ -90,13 +96,13 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json(as_json(found, seconds))
     else:
-        print(described(found, configuration, seconds))
+        print_text(described(found, configuration, seconds))
     if options.output is not None:
         from flock_tools.figures.arrangement import draw_arrangement  # matplotlib takes 0.5 s
 
         write_picture(draw_arrangement(found), options.output)
         if not options.json:
-            print(f"drawn: {options.output}")
+            print_text(f"drawn: {options.output}")
     return 0
 
 

@@ -11,8 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flock_sim.console.arguments import Parser, note, print_json, run_tool, shown
+from flock_sim.console.arguments import (
+    Parser,
+    note,
+    print_json,
+    print_text,
+    run_tool,
+)
 from flock_sim.errors import FlockError
+from flock_sim.outside.printing import shown
 
 if TYPE_CHECKING:
     from flock_sim.recording.run import Run
@@ -71,8 +78,8 @@ def tool(arguments: Sequence[str]) -> int:
         if options.json:
             print_json({**result.as_json(), **_origin_json((first, second))})
         else:
-            print(told(result, first, second, tolerance))
-            print("\n".join(_origins((first, second))))
+            print_text(told(result, first, second, tolerance))
+            print_text("\n".join(_origins((first, second))))
     return 0 if result.equal else DIFFERENT
 
 

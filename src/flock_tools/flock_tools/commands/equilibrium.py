@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from flock_sim.configuration.options import FLIGHT, add_flock_options, flock_configuration
-from flock_sim.console.arguments import Parser, print_json, run_tool
+from flock_sim.console.arguments import Parser, print_json, print_text, run_tool
 
 if TYPE_CHECKING:
     from flock_tools.runs.assessment import Assessment
@@ -46,7 +46,7 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json(assessment.as_json())
     else:
-        print(described(assessment))
+        print_text(described(assessment))
     return 0
 
 

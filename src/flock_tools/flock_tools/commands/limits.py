@@ -22,13 +22,14 @@ from flock_sim.console.arguments import (
     Parser,
     positive_number,
     print_json,
+    print_text,
     run_tool,
-    shown,
     whole_number,
     whole_numbers,
 )
 from flock_sim.errors import FlockError, nearest
 from flock_sim.launcher.partition import process_count
+from flock_sim.outside.printing import shown
 from flock_tools.commands.options import (
     add_picture_options,
     add_scheduler_option,
@@ -128,14 +129,14 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json(facts)
     else:
-        print(described(found, facts))
+        print_text(described(found, facts))
     if options.output is not None:
         from flock_tools.figures.limits import draw_limits  # matplotlib takes 0.5 s to import
 
         drawn = draw_limits(found, configuration, low, high, options.of)
         write_picture(drawn, options.output)
         if not options.json:
-            print(f"drawn: {options.output}")
+            print_text(f"drawn: {options.output}")
     return 0
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flock_sim.console.arguments import Parser, note, print_json, run_tool
+from flock_sim.console.arguments import Parser, note, print_json, print_text, run_tool
 from flock_tools.commands.options import add_moment_option, moment, span
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def tool(arguments: Sequence[str]) -> int:
         known = {**metrics.as_json(), **means.as_json(), **verdicts.as_json(), **free}
         print_json({**known, "state_digest": digest, **parts})
         return 0
-    print(summary(metrics, means, verdicts))
+    print_text(summary(metrics, means, verdicts))
     if fresh:
-        print("\n".join([*fresh.told(), *(off.told() if off else [])]))
+        print_text("\n".join([*fresh.told(), *(off.told() if off else [])]))
     return 0
 
 

@@ -8,8 +8,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flock_sim.console.arguments import numbers, shown
+from flock_sim.console.arguments import (
+    numbers,
+)
 from flock_sim.errors import FlockError
+from flock_sim.outside.printing import shown
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration

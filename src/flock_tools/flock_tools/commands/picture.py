@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flock_sim.console.arguments import Parser, note, run_tool, whole_number
+from flock_sim.console.arguments import Parser, note, print_text, run_tool, whole_number
 from flock_tools.commands.options import add_moment_option, moment
 from flock_tools.figures.output import check_picture, write_picture
 
@@ -54,7 +54,7 @@ def tool(arguments: Sequence[str]) -> int:
         check_picture(output)
         figure = draw_run(run, time, member)
     write_picture(figure, output)
-    print(output)
+    print_text(str(output))
     return 0
 
 

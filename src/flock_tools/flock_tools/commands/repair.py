@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flock_sim.console.arguments import Parser, print_json, run_tool
+from flock_sim.console.arguments import Parser, print_json, print_text, run_tool
 from flock_sim.errors import FlockError
 
 if TYPE_CHECKING:
@@ -285,7 +285,7 @@ def _tell(facts: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(dict(facts))
     else:
-        print(described(facts))
+        print_text(described(facts))
 
 
 def described(facts: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flock_sim.console.arguments import Parser, note, print_json, run_tool
+from flock_sim.console.arguments import Parser, note, print_json, print_text, run_tool
 from flock_sim.errors import FlockError
 from flock_tools.figures.output import check_output, write_output
 
@@ -65,7 +65,7 @@ def tool(arguments: Sequence[str]) -> int:
         numbers = [{k: plain(v) for k, v in key_numbers(run).items()} for run in shown]
         print_json({"output": str(output), "bytes": len(content), "runs": numbers})
     else:
-        print(output)
+        print_text(str(output))
     return 0
 
 

@@ -15,6 +15,7 @@ from flock_sim.console.arguments import (
     Parser,
     not_negative_number,
     print_json,
+    print_text,
     run_tool,
     whole_number,
 )
@@ -84,14 +85,14 @@ def tool(arguments: Sequence[str]) -> int:
         print_json({**as_json(configuration, found, derivatives), **how})
     else:
         links = f"links `{model}` with a lag of {lag:g}" if lag else "exact links"
-        print(described(configuration, found, derivatives, links))
+        print_text(described(configuration, found, derivatives, links))
     if options.output is not None:
         from flock_tools.figures.response import draw_response  # matplotlib takes 0.5 s to import
 
         figure = draw_response(configuration, found, member, lag, model)
         write_picture(figure, options.output)
         if not options.json:
-            print(f"drawn: {options.output}")
+            print_text(f"drawn: {options.output}")
     return 0
 
 

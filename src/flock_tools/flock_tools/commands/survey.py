@@ -19,12 +19,13 @@ from flock_sim.console.arguments import (
     Parser,
     numbers,
     print_json,
+    print_text,
     run_tool,
-    shown,
     whole_number,
     whole_numbers,
 )
 from flock_sim.errors import FlockError
+from flock_sim.outside.printing import shown
 from flock_tools.commands.options import (
     add_picture_options,
     add_scheduler_option,
@@ -91,13 +92,13 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json({**how, "results": [population.as_json() for population in populations]})
     else:
-        print(described(populations, how))
+        print_text(described(populations, how))
     if options.output is not None:
         from flock_tools.figures.survey import draw_survey  # matplotlib takes 0.5 s to import
 
         write_picture(draw_survey(populations, flocks[0].coupling), options.output)
         if not options.json:
-            print(f"drawn: {options.output}")
+            print_text(f"drawn: {options.output}")
     return 0
 
 

@@ -17,6 +17,7 @@ from flock_sim.console.arguments import (
     note,
     positive_number,
     print_json,
+    print_text,
     run_tool,
     whole_number,
 )
@@ -111,7 +112,7 @@ def tool(arguments: Sequence[str]) -> int:
     if options.json:
         print_json(facts)
     else:
-        print(described(sweep, found, facts))
+        print_text(described(sweep, found, facts))
     return 0
 
 

@@ -12,6 +12,7 @@ from flock_sim.console.arguments import Parser, positive_number, print_json, run
 from flock_sim.console.signals import Stop
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
+from flock_sim.outside.printing import shown
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def table(sample: Sample, unreadable: str = "", verdict: str = "", keys: str = "
 
     `unreadable`: why the clock's configuration can't be read.
     """
+    from rich.markup import escape
     from rich.table import Table
 
     from flock_sim.analysis.metrics import STABLE_BELOW
@@ -82,16 +84,17 @@ def table(sample: Sample, unreadable: str = "", verdict: str = "", keys: str = "
         "hears": [_listed(birds) for birds in sample.hears or ()],
         "age, s": [f"{value:.1f}" for value in sample.age],
     }
-    shown = {name: cells for name, cells in columns.items() if cells}
-    for name in shown:
+    filled = {name: cells for name, cells in columns.items() if cells}
+    for name in filled:
         drawn.add_column(name, justify="right")
-    for cells in zip(*shown.values(), strict=True):
+    for cells in zip(*filled.values(), strict=True):
         drawn.add_row(*cells)
     notes = [keys] if keys else []
     if not known:
         why = "no clock has sent the configuration"
         if unreadable:
-            why = f"the configuration that the clock has sent can't be read ({unreadable})"
+            reason = escape(shown(unreadable))
+            why = f"the configuration that the clock has sent can't be read ({reason})"
         notes.append(f"{why}: no verdict, and drag not in %")
     drawn.caption = "\n".join(notes) or None
     return drawn

@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flock_sim.console.arguments import print_text
 from flock_sim.errors import FlockError
 from flock_tools.figures.output import write_output
 
@@ -91,4 +92,4 @@ def write_figures(figures: Iterable[FigureFiles], output: Path) -> None:
         for name, content in figure.files():
             path = output / name
             write_output(path, content)
-            print(path)
+            print_text(str(path))

@@ -25,20 +25,33 @@ def check_output(output: Path, option: str = "--output") -> None:
 
     `option` is the option that named the file.
     """
-    if output.is_dir():
-        raise FlockError(f"{option} {output}: is a directory; name a file in it")
-    if not output.parent.is_dir():
-        raise FlockError(f"{option} {output}: can't be written: {output.parent} is no directory")
-    if not os.access(output if output.exists() else output.parent, os.W_OK):
+    try:
+        exists = output.exists()
+        if output.is_dir():
+            raise FlockError(f"{option} {output}: is a directory; name a file in it")
+        if exists and not output.is_file():
+            raise FlockError(f"{option} {output}: is a device or a pipe; name a regular file")
+        if not output.parent.is_dir():
+            raise FlockError(
+                f"{option} {output}: can't be written: {output.parent} is no directory"
+            )
+    except OSError as error:  # the name is too long, or a directory can't be searched
+        raise _refused(output, option, error) from error
+    if not os.access(output if exists else output.parent, os.W_OK):
         raise FlockError(f"{option} {output}: can't be written: Permission denied")
 
 
 def write_output(output: Path, content: bytes | memoryview, option: str = "--output") -> None:
-    """Write `content`. Raises FlockError if that fails."""
+    """Write `content`. Raises FlockError if that fails, or if there is a device or a pipe."""
+    check_output(output, option)
     try:
         output.write_bytes(content)
     except OSError as error:
-        raise FlockError(f"{option} {output}: can't be written: {error.strerror}") from error
+        raise _refused(output, option, error) from error
+
+
+def _refused(output: Path, option: str, error: OSError) -> FlockError:
+    return FlockError(f"{option} {output}: can't be written: {error.strerror}")
 
 
 def check_picture(output: Path | None, option: str = "--output") -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from flock_sim.analysis.time_means import TimeMeans
 from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
+from flock_sim.outside import json_text
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.scaling import Scales, drag_reduction
@@ -171,7 +171,7 @@ def reported(run: Run, room: Room, members: int, show: Callable[[float], None]) 
         theory=theory(run, metrics),
         pushes=[str(push) for push in run.perturbations()],
         own_parts=run.own_parts,
-        flock_version=str(json.loads(record.get("flock_version", '"not recorded"'))),
+        flock_version=str(json_text.parse(record.get("flock_version", '"not recorded"'))),
         state_digest=run.state_digest,
         machines=[machine.told() for machine in run.machines],
         files=[_file(path) for path in _recordings(run.path)],

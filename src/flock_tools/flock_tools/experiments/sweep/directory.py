@@ -23,6 +23,7 @@ from flock_sim.commands.resume import is_whole
 from flock_sim.configuration import parameter_file
 from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError
+from flock_sim.outside.text import read_bytes
 from flock_sim.recording.output_directory import own_output, remove_bag
 from flock_sim.recording.run import Run
 from flock_tools.experiments.sweep.specification import Flight
@@ -144,7 +145,7 @@ class SweepDirectory:
         if force and names:
             self._replace(names)
         elif PLAN_FILE in names:
-            if file.read_text(encoding="utf-8", errors="replace") == plan:
+            if read_bytes(file, "plan of a sweep") == plan.encode():
                 return
             raise FlockError(
                 f"output {self.path} holds another sweep, or one with other --members-at-once or "

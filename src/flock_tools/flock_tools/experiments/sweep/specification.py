@@ -13,10 +13,10 @@ from typing import Any
 
 import yaml
 
-from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, nearest
 from flock_sim.messages.state import ARRAYS
+from flock_sim.outside import yaml_text
 from flock_sim.recording.own_parts import own_laws, own_link_models
 from flock_tools.experiments.sweep.axes import Axis, Value, axis, in_order, text
 from flock_tools.experiments.sweep.members import (
@@ -155,7 +155,7 @@ class Sweep:
 
 def read(path: Path) -> Sweep:
     """Return the sweep in a file. Raises FlockError if the file is invalid."""
-    found = parameter_file.content(path, CALLED)
+    found = yaml_text.read(path, CALLED)
     try:
         return sweep(found)
     except FlockError as error:

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line on an exception that no code has foreseen: a fault of Flock."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+
+from flock_sim.outside.printing import shown
+
+PACKAGES = {"flock_sim", "flock_tools", "flockflight"}
+
+TRACEBACK = "FLOCK_TRACEBACK"
+"""Environment variable that lets such an exception through, for its traceback."""
+
+
+def fault(error: Exception) -> str:
+    """Return the line on an exception: kind, text, file, place in the code, and what to do."""
+    text = shown(str(error))
+    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if file := getattr(error, "filename", None):
+        what += f" (file {shown(str(file))})"
+    return (
+        f"a fault of Flock: {what}{_place(error)}; set {TRACEBACK}=1 to see the traceback, and "
+        "report this line and the command to the authors of Flock"
+    )
+
+
+def _place(error: Exception) -> str:
+    """Return the innermost place of the traceback in Flock, or else the innermost one."""
+    places = traceback.extract_tb(error.__traceback__, limit=-100)  # a recursion has thousands
+    ours = [
+        place
+        for place in places
+        if PACKAGES & set(Path(place.filename).parts) and place.name != "run_tool"
+    ]
+    for place in reversed(ours or places):
+        file = "/".join(Path(place.filename).parts[-3:])
+        return f", at {file}:{place.lineno} in {place.name}"
+    return ""
