@@ -34,6 +34,11 @@ def tools_page() -> str:
         "The help of each tool, as `./flock TOOL --help` prints it. [README](../README.md#tools)",
         "lists their purposes, and the [tutorial](tutorial.md) shows their use.",
         "",
+        "Exit statuses are 0, 1 (the run failed, or the answer is no), 2 (bad input), 130 (Ctrl-C)",
+        "and, for all tools, 70: a fault of Flock itself, which one line describes. With",
+        "`FLOCK_TRACEBACK=1` in the environment, Python prints its traceback instead. Report the",
+        "line and the traceback to the authors, with the command.",
+        "",
         "| | tool | |",
         "|---|---|---|",
     ]

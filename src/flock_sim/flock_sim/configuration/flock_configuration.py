@@ -196,6 +196,7 @@ class FlockConfiguration:
             (self.forcing_table.members, f"forcing {self.forcing_table.longest!r}"),
         ):
             if members == 1 and others > 1:
+                ratios.check_size(self.birds, others)
                 ratio, members, told = ratio.repeat(others, axis=1), others, f"{entry} has"
             elif others not in (1, members):
                 raise FlockError(

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 FORM = "I=LAMBDA[,LAMBDA...]"
 EXAMPLE = "4=1.05"
 
+MOST_WINGS = 10_000_000
+"""Largest product of birds and members: an array of one number for each has 80 MB then."""
+
 
 def array(entries: Iterable[str], birds: int) -> FloatArray:
     """Return lambda of shape (birds, members) from entries "I=LAMBDA[,LAMBDA...]".
@@ -34,6 +37,7 @@ def array(entries: Iterable[str], birds: int) -> FloatArray:
         given[bird] = (entry, ratios)
 
     members = max((len(ratios) for _, ratios in given.values()), default=1)
+    check_size(birds, members)
     ratio = np.ones((birds, members))
     for bird, (entry, ratios) in given.items():
         if len(ratios) not in (1, members):
@@ -45,6 +49,15 @@ def array(entries: Iterable[str], birds: int) -> FloatArray:
         ratio[bird - 1] = ratios
     _check_wings_apart(ratio)
     return ratio
+
+
+def check_size(birds: int, members: int) -> None:
+    """Raise FlockError if so many members of a flock are too many for the memory."""
+    if birds * members > MOST_WINGS:
+        raise FlockError(
+            f"{birds} birds x {members} members: must be {MOST_WINGS} wings or less; fly fewer "
+            "members at once"
+        )
 
 
 def entries(span_ratio: FloatArray) -> tuple[str, ...]:

@@ -64,6 +64,10 @@ class Parser(argparse.ArgumentParser):
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return options, unknown
 
+    def print_help(self, file: Any = None) -> None:
+        """Print the help on stdout. Raises RunFailed if it can't be written."""
+        _print(self.format_help().rstrip("\n"))
+
     def error(self, message: str) -> NoReturn:
         """Raise FlockError instead of printing the usage."""
         raise FlockError(f"{message}; {self.prog} --help tells more")
@@ -132,7 +136,7 @@ def not_negative_number(name: str, text: str) -> float:
 
 def print_json(value: dict[str, Any]) -> None:
     """Print `value` as one JSON object on stdout."""
-    print(json.dumps(value))
+    _print(json.dumps(value))
 
 
 def note(line: str) -> None:
@@ -150,7 +154,17 @@ def note(line: str) -> None:
 
 def print_text(text: str) -> None:
     """Print lines of a result on stdout. Their names may come from a file or a message."""
-    print("\n".join(map(printable, text.split("\n"))))
+    _print("\n".join(map(printable, text.split("\n"))))
+
+
+def _print(text: str) -> None:
+    """Print `text` on stdout. Raises RunFailed if it can't be written."""
+    try:
+        print(text)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise _output_failed(error) from None
 
 
 def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | None = None) -> int:
@@ -195,8 +209,13 @@ def _flush() -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        _forget_output()
-        raise RunFailed(f"standard output can't be written: {error.strerror}") from None
+        raise _output_failed(error) from None
+
+
+def _output_failed(error: OSError) -> RunFailed:
+    """Return the error of stdout, and drop its buffer."""
+    _forget_output()
+    return RunFailed(f"standard output can't be written: {error.strerror}")
 
 
 def _forget_output() -> None:

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of users, YAML and JSON are read by `flock_sim.outside` only, which has limits."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+SOURCES = Path(__file__).parents[3] / "src"
+
+READERS = {"read_text", "read_bytes"}
+PARSERS = {
+    "json": {"load", "loads"},
+    "yaml": {
+        *("load", "load_all", "full_load", "safe_load", "safe_load_all", "unsafe_load"),
+        *("parse", "compose", "scan"),
+    },
+    "np": {"load", "loadtxt", "genfromtxt", "fromfile"},
+}
+
+OTHERS = {
+    "flock_sim/bag/definitions.py": "definitions of messages that are installed",
+    "flock_sim/bag/reading/listing.py": "metadata.yaml, from events with a limit of depth",
+    "flock_sim/launcher/fork_server.py": "answers of Flock's own process",
+    "flock_sim/launcher/fork_server_process.py": "requests of Flock's own process",
+    "flock_sim/launcher/forkable.py": "/proc",
+    "flock_sim/links/source_digest.py": "the source of a function that is loaded",
+    "flock_sim/physics/kernel_cache.py": "kernels that Flock has compiled, with a checksum",
+    "flock_sim/recording/machine.py": "/proc",
+    "flock_sim/ros/discovery.py": "/proc, and package.xml of ROS",
+    "flock_sim/ros/fastdds_shutdown.py": "/proc",
+    "flock_sim/ros/settings_check.py": "/proc",
+    "flock_tools/experiments/sweep/by_reference.py": "results that Flock has written",
+    "flock_tools/playback/topics.py": "quality of service in the metadata of a bag",
+    "flock_tools/report/html.py": "the scripts and styles of the page",
+    "flock_tools/scene/foxglove_server.py": "requests of a client; a frame has a limit of size",
+}
+"""The other modules that read or parse, and what it is."""
+
+
+def reading_calls(source: str) -> Iterator[str]:
+    """Yield the calls in a module that read a file or parse a text."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            name, of = node.func.attr, node.func.value
+            if name in READERS:
+                yield name
+            elif isinstance(of, ast.Name) and name in PARSERS.get(of.id, ()):
+                yield f"{of.id}.{name}"
+
+
+def test_all_calls_are_found() -> None:
+    source = "yaml.safe_load(t); json.loads(t); p.read_text(); Path(p).read_bytes(); json.dumps(t)"
+    assert set(reading_calls(source)) == {"yaml.safe_load", "json.loads", "read_text", "read_bytes"}
+
+
+def test_only_the_listed_modules_read_files_or_parse_by_themselves() -> None:
+    found = {
+        "/".join(file.relative_to(SOURCES).parts[1:])
+        for file in SOURCES.rglob("*.py")
+        if "outside" not in file.parts and list(reading_calls(file.read_text(encoding="utf-8")))
+    }
+    assert found == set(OTHERS)
