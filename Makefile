@@ -4,7 +4,7 @@
 
 WORKERS = $(shell nproc)
 
-.PHONY: setup demo test test-packages test-kilted other-machine torture lint docs-packages docs bench figures clean help
+.PHONY: setup demo test test-packages test-kilted other-machine torture fuzz lint docs-packages docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
@@ -38,6 +38,9 @@ torture: setup  ## kill, interrupt and forge the messages of flights at random, 
 	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 FLOCK_VARIED_FLIGHTS=200 \
 		./flock python -m pytest -q tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py \
 		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
+
+fuzz: setup  ## read 100,000 random parameter files, as many sweep files, and 10,000 random metadata.yaml (half an hour)
+	@FLOCK_FUZZ=100000 ./flock python -m pytest -q tests/unit/outside/test_fuzz.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check

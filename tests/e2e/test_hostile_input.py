@@ -228,3 +228,24 @@ def test_control_characters_in_the_name_of_a_bag_are_never_printed(
     (bag / "metadata.yaml").unlink()
     assert run_tool(metrics.tool, [str(bag)]) == 0
     assert SHOWN in capsys.readouterr().err
+
+
+def test_control_characters_in_the_name_of_a_law_are_never_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    law = tmp_path / f"{TITLE}.py"
+    law.write_text("def pull(bird, neighbours, time):\n    return 0.0 * bird.speed\n")
+    text_of(reference.tool, capsys, *SHORT, "--output", "plain")
+    text_of(reference.tool, capsys, *SHORT, "--forcing", f"{law.name}:pull", "--output", "pulled")
+    law.unlink()
+    for tool, arguments, status in (
+        (metrics.tool, ["pulled"], 0),
+        (compare.tool, ["plain", "pulled"], 1),
+        (picture.tool, ["pulled"], 0),
+        (report.tool, ["pulled"], 0),
+    ):
+        assert run_tool(tool, arguments) == status
+        told = capsys.readouterr()
+        assert all(map(str.isprintable, (told.out + told.err).splitlines()))
+        assert tool is not compare.tool or SHOWN in told.out
