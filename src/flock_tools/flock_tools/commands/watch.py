@@ -12,7 +12,7 @@ from flock_sim.console.arguments import Parser, positive_number, print_json, run
 from flock_sim.console.signals import Stop
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
-from flock_sim.outside.printing import shown
+from flock_sim.outside.printing import one_line
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def table(sample: Sample, unreadable: str = "", verdict: str = "", keys: str = "
     if not known:
         why = "no clock has sent the configuration"
         if unreadable:
-            reason = escape(shown(unreadable))
+            reason = escape(one_line(unreadable))
             why = f"the configuration that the clock has sent can't be read ({reason})"
         notes.append(f"{why}: no verdict, and drag not in %")
     drawn.caption = "\n".join(notes) or None
