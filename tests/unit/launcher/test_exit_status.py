@@ -5,6 +5,7 @@ import signal
 
 import pytest
 
+from flock_sim.console.arguments import FAULT
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.launcher.exit_status import WHY, ended, failed
 
@@ -24,11 +25,11 @@ def test_a_process_that_was_killed_or_ended_early_may_be_restarted(status: int, 
     assert ended(status) == told
 
 
-@pytest.mark.parametrize("status", [1, 2, 3, 127])
+@pytest.mark.parametrize("status", [1, 2, 3, 70, 127])
 def test_a_process_that_failed_would_fail_again(status: int) -> None:
     assert failed(status)
     assert ended(status) == f"ended with status {status}"
 
 
 def test_every_error_of_flock_has_a_reason() -> None:
-    assert WHY.keys() == {RunFailed.exit_status, FlockError.exit_status}
+    assert WHY.keys() == {RunFailed.exit_status, FlockError.exit_status, FAULT}

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import traceback
 from pathlib import Path
 
 from flock_sim.outside.printing import shown
@@ -28,6 +27,8 @@ def fault(error: Exception) -> str:
 
 def _place(error: Exception) -> str:
     """Return the innermost place of the traceback in Flock, or else the innermost one."""
+    import traceback  # for faults only
+
     places = traceback.extract_tb(error.__traceback__, limit=-100)  # a recursion has thousands
     ours = [
         place

@@ -9,7 +9,7 @@ STOPPED = 128
 """Exit statuses from here on are 128 + the number of the signal that ended the process."""
 
 WHY = {1: "the run failed", 2: "bad input", 70: "a fault of Flock"}
-"""The reasons of the exit statuses of Flock's own errors."""
+"""The reasons of the exit statuses of Flock's own errors, and of a fault of Flock."""
 
 
 def failed(status: int) -> bool:
