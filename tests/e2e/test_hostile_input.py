@@ -12,9 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from flock_sim.commands import reference
 from flock_sim.console.arguments import run_tool
+from flock_sim.recording.flight_bag import CONFIGURATION_RECORD
 from flock_tools.commands import (
     arrange,
     compare,
@@ -27,6 +29,7 @@ from flock_tools.commands import (
     survey,
     sweep,
 )
+from support.hanging import not_hanging
 from support.tool_runs import Tool, error_of, text_of
 
 TITLE = "\x1b]0;x\x07"
@@ -47,7 +50,8 @@ def refused(
     monkeypatch.chdir(tmp_path)
 
     def run(tool: Tool, *arguments: str) -> str:
-        line = error_of(tool, capsys, *arguments)
+        with not_hanging():
+            line = error_of(tool, capsys, *arguments)
         assert line[:-1].isprintable()
         assert len(line) < 5000
         return line
@@ -249,3 +253,27 @@ def test_control_characters_in_the_name_of_a_law_are_never_printed(
         told = capsys.readouterr()
         assert all(map(str.isprintable, (told.out + told.err).splitlines()))
         assert tool is not compare.tool or SHOWN in told.out
+
+
+RECORDS = {
+    "nested": ({"birds": "[" * 100_000}, "nested too deep; 64 levels are the limit"),
+    "digits": ({"birds": "9" * 5000}, "no configuration that can be read"),
+    "surrogate": ({"coupling": r'"\ud800"'}, r"'\ud800': known are nearest, all"),
+    "control characters": ({TITLE: "1"}, f"unknown parameter '{SHOWN}'"),
+    "control characters in a value": ({"coupling": r'"\u001b]0;x\u0007"'}, SHOWN),
+    "list": ({"birds": "[1]"}, "birds = [1]: must be a number"),
+}
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_a_hostile_configuration_in_a_bag_is_refused(
+    refused: Refused, tmp_path: Path, kind: str
+) -> None:
+    record, said = RECORDS[kind]
+    with (tmp_path / "run_0.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "somebody")
+        writer.add_metadata(CONFIGURATION_RECORD, record)
+        writer.finish()
+    for tool in (metrics.tool, report.tool, picture.tool, repair.tool):
+        assert said in refused(tool, "run_0.mcap")

@@ -10,6 +10,7 @@ import pytest
 
 from flock_sim.errors import FlockError
 from flock_sim.outside import text
+from support.hanging import not_hanging
 
 
 def test_a_text_is_read_without_its_byte_order_mark(tmp_path: Path) -> None:
@@ -39,7 +40,10 @@ def test_what_is_no_regular_file_of_text_is_refused(tmp_path: Path, path: str, s
     (tmp_path / "link").symlink_to("pipe")
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "latin").write_bytes(b"a\ncaf\xe9\n")
-    with pytest.raises(FlockError, match=f"^sweep file .*: {said}.*; name a readable sweep file$"):
+    with (
+        pytest.raises(FlockError, match=f"^sweep file .*: {said}.*; name a readable sweep file$"),
+        not_hanging(),
+    ):
         text.read_text(tmp_path / path, "sweep file")
 
 
