@@ -78,6 +78,7 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
     for kind, name in (
         (MarkerArray, "markers"),
         (Image, "upwash"),
+        (Image, "upwash_color"),
         (TransformStamped, "transform"),
     ):
         heard[name] = []
@@ -89,6 +90,8 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
     expected = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2)
     pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
     assert pixels == pytest.approx(expected.upwash, rel=1e-4, abs=1e-6)
+    picture = heard["upwash_color"][-1]
+    assert (picture.encoding, len(picture.data)) == ("rgb8", 3 * picture.height * picture.width)
     stamp = told.header.stamp
     snapshot = recorded(terminal, "bag", stamp.sec, stamp.nanosec, 2).snapshot
     assert told.transform.translation.x == pytest.approx(snapshot.origin * snapshot.metre)
@@ -202,8 +205,8 @@ def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
             seconds, nanoseconds = divmod(at, 1_000_000_000)
             snapshot = recorded(terminal, "flown", seconds, nanoseconds, 1).snapshot
             assert told.transform.translation.x == pytest.approx(snapshot.origin * snapshot.metre)
-        elif topic == "/flock/view/upwash":
-            assert message.encoding == "32FC1"
+        elif topic.startswith("/flock/view/upwash"):
+            assert message.encoding == ("rgb8" if topic.endswith("color") else "32FC1")
             assert len(message.data) == message.height * message.step
 
 
@@ -230,7 +233,7 @@ def test_layouts_are_of_the_topics_that_are_published() -> None:
     shown = {display["Class"]: display["Topic"]["Value"] for display in rviz["Displays"]}
     assert shown == {
         "rviz_default_plugins/MarkerArray": "/flock/view/markers",
-        "rviz_default_plugins/Image": "/flock/view/upwash",
+        "rviz_default_plugins/Image": "/flock/view/upwash_color",
     }
     assert rviz["Global Options"]["Fixed Frame"] == FRAME
     layout = json.loads((SHARE / "foxglove.json").read_text(encoding="utf-8"))
@@ -238,4 +241,4 @@ def test_layouts_are_of_the_topics_that_are_published() -> None:
     assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == panels.keys()
     assert panels["3D!flock"]["topics"].keys() == {"/flock/view/markers"}
     assert panels["3D!flock"]["followTf"] == FRAME
-    assert panels["Image!upwash"]["imageMode"]["imageTopic"] == "/flock/view/upwash"
+    assert panels["Image!upwash"]["imageMode"]["imageTopic"] == "/flock/view/upwash_color"

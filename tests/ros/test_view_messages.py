@@ -12,7 +12,9 @@ from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker, MarkerArray
 
 from flock_tools.scene import messages
-from flock_tools.scene.shapes import Kind, scene
+from flock_tools.scene.marker import Kind
+from flock_tools.scene.shapes import scene
+from flock_tools.scene.upwash_image import upwash_image
 from unit.scene.test_shapes import snapshot
 
 SHOWN = scene(snapshot(), [snapshot().along - 1.0])
@@ -52,12 +54,17 @@ def test_what_was_shown_before_is_removed_first() -> None:
     assert len(array.markers) == len(SHOWN.shapes) + 1
 
 
-def test_the_image_is_one_of_sensor_msgs() -> None:
-    image = deserialize_message(messages.image(SHOWN), Image)
-    assert (image.height, image.width) == SHOWN.upwash.shape
-    assert (image.encoding, image.step, image.is_bigendian) == ("32FC1", 4 * image.width, 0)
-    pixels = np.frombuffer(image.data, dtype="<f4").reshape(image.height, image.width)
-    assert (pixels == SHOWN.upwash).all()
+def test_the_images_are_those_of_sensor_msgs() -> None:
+    for pixels, encoding in (
+        (SHOWN.upwash, messages.NUMBERS),
+        (upwash_image(SHOWN), messages.COLORS),
+    ):
+        image = deserialize_message(messages.image(SHOWN.snapshot, pixels, encoding), Image)
+        assert (image.height, image.width) == pixels.shape[:2]
+        assert (image.encoding, image.is_bigendian) == (encoding, 0)
+        assert (image.header.frame_id, image.step) == ("flock", pixels.nbytes // image.height)
+        found = np.frombuffer(image.data, dtype=pixels.dtype).reshape(pixels.shape)
+        assert (found == pixels).all()
 
 
 def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:

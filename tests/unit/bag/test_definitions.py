@@ -2,6 +2,7 @@
 """The embedded definitions are complete, in rosbag2's format, with the type's true hash."""
 
 import json
+import runpy
 import sys
 from pathlib import Path
 
@@ -9,9 +10,12 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from flock_sim.bag import definitions
-from flock_sim.bag.definitions import installed_definition
+from flock_sim.bag.definitions import copied_definition, installed_definition
 from flock_sim.errors import FlockError
 from flock_sim.messages.types import Message
+from flock_tools.scene.messages import TRANSFORMS
+
+ROOT = Path(__file__).parents[3]
 
 TYPES = [
     *(f"flock_interfaces/msg/Bird{name}" for name in ("Wing", "Stage", "State")),
@@ -33,16 +37,23 @@ def test_rosbags_parses_the_text_and_computes_the_same_hash(name: str) -> None:
     assert store.hash_rihs01(name) == definition.type_hash
 
 
-def test_without_ros_the_definitions_of_flock_are_those_that_are_installed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_copies_are_the_installed_definitions() -> None:
+    expected = runpy.run_path(str(ROOT / "tools/message_definitions.py"))["all_definitions"]()
+    copies = [copied_definition(definition.type) for definition in expected]
+    assert copies == expected, "run `./flock python tools/message_definitions.py`"
+    assert list(definitions._copies()) == [definition.type for definition in expected]
+
+
+def test_the_definition_of_tf_which_has_no_wheel_is_that_of_ros() -> None:
+    copy = copied_definition(TRANSFORMS)
+    assert copy.type_hash == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(TRANSFORMS)
+
+
+def test_without_ros_the_copies_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
     types = sorted({kind.TYPE for kind in Message.__subclasses__()})
-    installed = {name: installed_definition(name) for name in types}
+    installed = [installed_definition(name) for name in types]
     monkeypatch.setitem(sys.modules, "ament_index_python", None)
-    assert {name: installed_definition(name) for name in types} == installed, (
-        "run `./flock python tools/message_definitions.py`"
-    )
-    assert list(definitions._copies()) == types
+    assert [installed_definition(name) for name in types] == installed
     with pytest.raises(FlockError, match=r"std_msgs/msg/Header needs ROS 2"):
         installed_definition("std_msgs/msg/Header")
 

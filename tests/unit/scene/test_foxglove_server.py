@@ -17,7 +17,7 @@ from websockets.typing import Origin, Subprotocol
 from flock_tools.commands.view import MOST_REFUSALS, _refusals
 from flock_tools.scene.foxglove_server import FoxgloveServer
 
-TYPES = {"/words": "std_msgs/msg/String", "/tf": "tf2_msgs/msg/TFMessage"}
+TYPES = {"/words": "sensor_msgs/msg/Image", "/tf": "tf2_msgs/msg/TFMessage"}
 APP = "https://app.foxglove.dev"
 PROTOCOL = Subprotocol("foxglove.sdk.v1")
 

@@ -18,9 +18,10 @@ from flock_tools.figures.bird_outline import RIGHT_HALF
 from flock_tools.figures.style import DRAG_SAVED
 from flock_tools.scene import wake
 from flock_tools.scene.bird_mesh import BIRD, SHADE
-from flock_tools.scene.shapes import UPWASH, Kind, Scene, Shape, scene
+from flock_tools.scene.frame import TOPICS, Frame
+from flock_tools.scene.marker import UPWASH, Kind, Shape
+from flock_tools.scene.shapes import Scene, scene
 from flock_tools.scene.snapshot import Snapshot
-from flock_tools.scene.viewer import Frame
 
 RATIO = np.array([0.9, 1.0, 1.1, 1.0, 0.8])
 
@@ -78,11 +79,6 @@ def test_birds_are_coloured_by_the_drag_they_save() -> None:
         # The table of colours has 256: rounding may take the next one.
         assert shape.colours[::3, :3] == pytest.approx(expected, abs=0.02)
         assert (shape.colours[:, 3] == 1.0).all()
-
-
-def test_labels_say_what_is_saved() -> None:
-    texts = [shape.text for shape in group(scene(snapshot()), "labels")]
-    assert texts == ["1\n0.0 %", "2\n7.0 %", "3\n14.0 %", "4\n21.0 %", "5\n28.0 %"]
 
 
 def test_the_wake_of_one_bird_goes_down_inside_of_its_vortices_and_up_outside() -> None:
@@ -209,5 +205,6 @@ def test_the_plane_does_not_follow_a_bird_that_is_left_behind() -> None:
 def test_whatever_states_say_is_shown_or_left_out(changed: dict[str, object]) -> None:
     told = snapshot(**changed)
     frame = Frame(told, [told.along, snapshot().along], anew=True)
-    for data in (frame.markers, frame.image, frame.transform, frame.transforms):
+    for topic in TOPICS.values():
+        data = topic.message(frame)
         assert data.startswith(ENCAPSULATION)

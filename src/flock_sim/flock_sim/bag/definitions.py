@@ -2,6 +2,7 @@
 """Message definitions for a bag, from the installed ROS packages.
 
 Without ROS 2, a copy of the definitions of Flock's own messages, in `definitions.json`, is used.
+The messages of a scene always have their definitions from there.
 """
 
 import re
@@ -13,7 +14,7 @@ from flock_sim.errors import FlockError
 from flock_sim.outside import json_text
 
 COPIES = Path(__file__).with_name("definitions.json")
-"""The definitions of all types that a flight's bag has, by `tools/message_definitions.py`."""
+"""The definitions of all types in bags of flights and scenes, by `tools/message_definitions.py`."""
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(r"(\w+)/(?:msg/)?(\w+)", re.ASCII)
@@ -58,6 +59,14 @@ def installed_definition(type_name: str) -> Definition:
             f"message type {type_name} needs ROS 2, which is not installed here"
         ) from None
     return Definition(type_name, _text(type_name), _type_hash(type_name))
+
+
+def copied_definition(type_name: str) -> Definition:
+    """Return Flock's copy of a definition, which is the same on all machines.
+
+    Raises KeyError for a type that neither a flight nor a scene has.
+    """
+    return _copies()[type_name]
 
 
 @cache

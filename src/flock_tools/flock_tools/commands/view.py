@@ -39,6 +39,7 @@ the upward air speed on a plane behind the flock. RViz or any Foxglove bridge ca
 
   /flock/view/markers      visualization_msgs/MarkerArray, in the frame flock
   /flock/view/upwash       sensor_msgs/Image, 32FC1: upwash behind the flock, in m/s
+  /flock/view/upwash_color sensor_msgs/Image, rgb8: the same as colours, with a legend
   /flock/view/transform    geometry_msgs/TransformStamped from the frame world to the frame flock,
                            which moves with the leader; also on /tf if tf2_msgs is installed
 
@@ -191,7 +192,8 @@ def _publish(
     """Publish the received flock until `stop`. Raises FlockError if no flock is received."""
     # Imported here: a picture, or a report of bad input, does not need them.
     from flock_tools.live.listener import first_sample, serve, watching
-    from flock_tools.scene.viewer import FOXGLOVE_TYPES, MARKERS_TOPIC, Viewer
+    from flock_tools.scene.frame import MARKERS_TOPIC
+    from flock_tools.scene.viewer import FOXGLOVE_TYPES, Viewer
 
     host, port, origins = address
     with results_only_on_stdout(), ExitStack() as opened:

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.scene.shapes import Shape
+from flock_tools.scene.marker import Shape
 
 ELEVATION, AZIMUTH = 30.0, 15.0
 """Direction of view, in degrees: from in front of the flock, above and a little to its left."""

@@ -29,9 +29,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from flock_sim.bag.definitions import installed_definition
+from flock_sim.bag.definitions import copied_definition
 from flock_sim.errors import FlockError
-from flock_tools.scene.messages import TRANSFORM, TRANSFORMS
 
 BACKLOG = 8
 """Number of messages kept for a slow client; older ones are dropped."""
@@ -67,7 +66,7 @@ class FoxgloveServer:
         Programs, which send no Origin, may connect, as may web pages of this machine and of
         `origins`. For other pages, `refused` is called with the Origin, in another thread.
 
-        Raises FlockError if the port is not available, or if a type is not installed.
+        Raises FlockError if the port is not available.
         """
         self._channels = {topic: number for number, topic in enumerate(types, start=1)}
         self._greeting = [_server_info(), _advertisement(types)]
@@ -249,18 +248,9 @@ def _advertisement(types: dict[str, str]) -> str:
             "topic": topic,
             "encoding": "cdr",
             "schemaName": kind,
-            "schema": _definition(kind),
+            "schema": copied_definition(kind).text,
             "schemaEncoding": "ros2msg",
         }
         for number, (topic, kind) in enumerate(types.items(), start=1)
     ]
     return json.dumps({"op": "advertise", "channels": channels})
-
-
-def _definition(kind: str) -> str:
-    """Return the definition of a message type. That of tf2_msgs need not be installed."""
-    if kind != TRANSFORMS:
-        return installed_definition(kind).text
-    short = TRANSFORM.replace("/msg/", "/")
-    nested = installed_definition(TRANSFORM).text
-    return f"{short}[] transforms\n{'=' * 80}\nMSG: {short}\n{nested}"

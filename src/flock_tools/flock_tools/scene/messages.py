@@ -8,13 +8,16 @@ points. A test compares these bytes with the generated message types.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from flock_sim.messages.cdr import ENCAPSULATION, align, put
 from flock_sim.messages.state import FRAME as WORLD
 from flock_sim.physics.arrays import FloatArray
-from flock_tools.scene.shapes import Kind, Scene, Shape
+from flock_tools.scene.marker import Kind, Shape
+from flock_tools.scene.shapes import Scene
 from flock_tools.scene.snapshot import Snapshot
 
 FRAME = "flock"
@@ -28,8 +31,8 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 ADD, DELETE_ALL = 0, 3
 
-ENCODING = "32FC1"
-"""Encoding of the image: one float32 per pixel, in m/s."""
+NUMBERS, COLORS = "32FC1", "rgb8"
+"""Encodings of images: one float32 per pixel, in m/s, or three bytes."""
 
 
 def markers(scene: Scene, anew: bool) -> bytes:
@@ -43,16 +46,16 @@ def markers(scene: Scene, anew: bool) -> bytes:
     return bytes(data)
 
 
-def image(scene: Scene) -> bytes:
-    """Return an Image of the upwash behind the flock, seen from behind."""
-    rows, columns = scene.upwash.shape
+def image(snapshot: Snapshot, pixels: npt.NDArray[Any], encoding: str) -> bytes:
+    """Return an Image of `pixels`, whose first two dimensions are rows and columns."""
+    rows, columns = pixels.shape[:2]
     data = bytearray(ENCAPSULATION)
-    _put_header(data, scene.snapshot.stamp, FRAME)
+    _put_header(data, snapshot.stamp, FRAME)
     _put_all(data, "II", (rows, columns))
-    put(data, "text", ENCODING)
-    _put_all(data, "BI", (0, 4 * columns))
-    put(data, "I", scene.upwash.nbytes)
-    data += scene.upwash.astype("<f4").tobytes()
+    put(data, "text", encoding)
+    _put_all(data, "BI", (0, pixels.nbytes // rows))
+    put(data, "I", pixels.nbytes)
+    data += pixels.astype(pixels.dtype.newbyteorder("<")).tobytes()
     return bytes(data)
 
 

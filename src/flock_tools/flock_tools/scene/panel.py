@@ -14,18 +14,19 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from matplotlib.tri import Triangulation
 
-from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_tools.figures.style import INK
 from flock_tools.scene.camera import Camera
 from flock_tools.scene.landmarks import Landmarks
-from flock_tools.scene.shapes import Kind, Scene, Shape
+from flock_tools.scene.lettering import ABOVE, label_rank, label_text
+from flock_tools.scene.marker import Kind, Shape
+from flock_tools.scene.shapes import Scene
 from flock_tools.scene.snapshot import Snapshot
 
 SMALL = 7.5
 """Size of labels, in pt."""
 
-ABOVE = 20.0
+RAISED = 20.0
 """Height of a span ratio above the place of the label below it, in pt."""
 
 
@@ -48,7 +49,7 @@ class Panel:
         numbers = set(birds + 1)
         shapes = {
             name: [s for s in shown.shapes if s.group == name and s.number in numbers]
-            for name in ("wakes", "trails", "birds", "labels")
+            for name in ("wakes", "trails", "birds")
         }
         shapes["upwash"] = [s for s in shown.shapes if s.group == "upwash" and with_plane]
         places = np.array([shape.origin for shape in shapes["birds"]])
@@ -116,19 +117,19 @@ class Panel:
         Return the labels, the most important first: those of the leader and of both ends, of birds
         of another span, of every tenth bird, and of all others.
         """
-        ratios = self.snapshot.span_ratio
-        leader, birds = formation.leader(len(ratios)), len(ratios)
         labels = []
-        for shape in self.shapes["labels"]:
-            bird, ratio = shape.number, ratios[shape.number - 1]
-            (place,), _ = self.camera.see(np.array([shape.origin]))
-            label = _label(axes, place, shape.text, ha="center", va="bottom")
-            first = (bird in (1, leader, birds), ratio != 1.0, bird % 10 == 0, True)
-            labels.append((first.index(True), place[1], label))
+        for shape in self.shapes["birds"]:
+            ratio = self.snapshot.span_ratio[shape.number - 1]
+            above = np.array(shape.origin) + (0.0, 0.0, ABOVE * self.snapshot.metre)
+            (place,), _ = self.camera.see(above[np.newaxis])
+            text = label_text(self.snapshot, shape.number)
+            label = _label(axes, place, text, ha="center", va="bottom")
+            rank = label_rank(self.snapshot, shape.number)
+            labels.append((rank, place[1], label))
             if ratio != 1.0:
                 told = f"$\\lambda$ = {ratio:g}"
-                span = _label(axes, place, told, ha="center", va="bottom", above=ABOVE)
-                labels.append((first.index(True), place[1], span))
+                span = _label(axes, place, told, ha="center", va="bottom", above=RAISED)
+                labels.append((rank, place[1], span))
         labels.sort(key=lambda label: label[:2])  # of equal rank, the nearest is the lowest
         return [label for _, _, label in labels]
 

@@ -20,8 +20,9 @@ from flock_tools.figures.labels import keep_apart
 from flock_tools.figures.parts import parts
 from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
+from flock_tools.scene.marker import UPWASH
 from flock_tools.scene.panel import SMALL, Panel
-from flock_tools.scene.shapes import UPWASH, Scene, scene
+from flock_tools.scene.shapes import Scene, scene
 from flock_tools.scene.snapshot import Snapshot
 from flock_tools.scene.wake import LONGEST, PLANE_ROWS
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -75,12 +76,12 @@ class Snapshot:
         """Positions of the birds in the frame, in b."""
         return self.state.position - self.origin
 
-    @property
+    @cached_property
     def lateral(self) -> FloatArray:
         """Lateral positions of the birds to the right of the leader, in b."""
         return formation.lateral_positions(self.span_ratio[:, np.newaxis])[:, 0]
 
-    @property
+    @cached_property
     def saved(self) -> FloatArray:
         """Drag reduction eta, in %."""
         return 100.0 * self.state.drag_reduction(Scales.of(self.configuration))

@@ -4,88 +4,30 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import TransformStamped
 from rclpy.context import Context
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import Image
-from visualization_msgs.msg import MarkerArray
 
 from flock_interfaces.msg import BirdWing
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.messages.types import BILLION, State
+from flock_sim.messages.types import State
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.ros.endpoints import latched
 from flock_tools.live.flock_monitor import Sample
 from flock_tools.live.listener import DEPTH, Watcher
-from flock_tools.scene import messages
-from flock_tools.scene.shapes import Scene, scene
+from flock_tools.scene.frame import TOPICS, TRAIL, TRANSFORM_TOPIC, Frame
+from flock_tools.scene.messages import TRANSFORMS
 from flock_tools.scene.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from flock_tools.scene.foxglove_server import FoxgloveServer
 
-MARKERS_TOPIC = f"{topics.NAMESPACE}/view/markers"
-UPWASH_TOPIC = f"{topics.NAMESPACE}/view/upwash"
-TRANSFORM_TOPIC = f"{topics.NAMESPACE}/view/transform"
-TF_TOPIC = "/tf"
-
-FOXGLOVE_TYPES = {
-    MARKERS_TOPIC: messages.MARKERS,
-    UPWASH_TOPIC: messages.IMAGE,
-    TF_TOPIC: messages.TRANSFORMS,
-}
+FOXGLOVE_TYPES = {name: topic.type for name, topic in TOPICS.items() if name != TRANSFORM_TOPIC}
 """Topics offered to Foxglove, and their types. The transform is on /tf, as Foxglove expects."""
-
-TRAIL = 600
-"""Largest number of points of a trail."""
-
-
-class Frame:
-    """A snapshot as serialised messages. Each is created when it is first used."""
-
-    def __init__(self, snapshot: Snapshot, trail: Sequence[FloatArray], anew: bool) -> None:
-        """Store the snapshot. With `anew`, the markers first remove all earlier ones."""
-        self.snapshot = snapshot
-        self.trail = trail
-        self.anew = anew
-
-    @property
-    def stamp(self) -> int:
-        """Simulated time, in ns."""
-        seconds, nanoseconds = self.snapshot.stamp
-        return seconds * BILLION + nanoseconds
-
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene of the snapshot."""
-        return scene(self.snapshot, self.trail)
-
-    @cached_property
-    def markers(self) -> bytes:
-        """A MarkerArray."""
-        return messages.markers(self.scene, self.anew)
-
-    @cached_property
-    def image(self) -> bytes:
-        """An Image."""
-        return messages.image(self.scene)
-
-    @cached_property
-    def transform(self) -> bytes:
-        """A TransformStamped."""
-        return messages.transform(self.snapshot)
-
-    @cached_property
-    def transforms(self) -> bytes:
-        """A TFMessage."""
-        return messages.transforms(self.snapshot)
 
 
 class Viewer(Watcher):
@@ -110,17 +52,11 @@ class Viewer(Watcher):
         self._frame: Frame | None = None
         self._shown: State | None = None
         self._source: object = None
-        self._outlets: list[tuple[Publisher, Callable[[Frame], bytes]]] = [
-            (self.create_publisher(MarkerArray, MARKERS_TOPIC, 1), lambda frame: frame.markers),
-            (self.create_publisher(Image, UPWASH_TOPIC, 1), lambda frame: frame.image),
-            (
-                self.create_publisher(TransformStamped, TRANSFORM_TOPIC, 1),
-                lambda frame: frame.transform,
-            ),
+        self._outlets = [
+            (self.create_publisher(kind, name, topic.depth), topic.message)
+            for name, topic in TOPICS.items()
+            if (kind := _message_class(topic.type))
         ]
-        if kind := _tf_message():
-            outlet = self.create_publisher(kind, TF_TOPIC, 100)
-            self._outlets.append((outlet, lambda frame: frame.transforms))
 
     def listen(self, bird: int, topic: str) -> None:
         """Subscribe to the wing of `bird`, too."""
@@ -150,14 +86,13 @@ class Viewer(Watcher):
         frame = self._framed()
         if frame is None:
             return
-        for outlet, bytes_of in self._outlets:
+        for outlet, message in self._outlets:
             if outlet.get_subscription_count():
-                outlet.publish(bytes_of(frame))
+                outlet.publish(message(frame))
         if self._foxglove:
             self._foxglove.tell_time(frame.stamp)
-            self._foxglove.publish(MARKERS_TOPIC, frame.stamp, lambda: frame.markers)
-            self._foxglove.publish(UPWASH_TOPIC, frame.stamp, lambda: frame.image)
-            self._foxglove.publish(TF_TOPIC, frame.stamp, lambda: frame.transforms)
+            for name in FOXGLOVE_TYPES:
+                self._foxglove.publish(name, frame.stamp, partial(TOPICS[name].message, frame))
 
     def _framed(self) -> Frame | None:
         """Return the latest complete step, also if it is unchanged; None if there is none."""
@@ -194,9 +129,12 @@ class Viewer(Watcher):
         return Snapshot.of(flown or self._assumed, state, ratios, self._member - 1, stamp)
 
 
-def _tf_message() -> Any:
-    """Return the message class of /tf; None without tf2_msgs, which has no wheel."""
+def _message_class(name: str) -> Any:
+    """Return the class of the messages of a type; None for tf2_msgs where it is not installed."""
+    package, _, kind = name.split("/")
     try:
-        return import_module("tf2_msgs.msg").TFMessage
+        return getattr(import_module(f"{package}.msg"), kind)
     except ImportError:
-        return None
+        if name == TRANSFORMS:  # it has no wheel
+            return None
+        raise
