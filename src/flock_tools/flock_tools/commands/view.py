@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flock in space, for RViz and Foxglove, or as a picture: `flock view`."""
+"""A flock in space, for RViz and Foxglove, as a bag or as a picture: `flock view`."""
 
 from __future__ import annotations
 
@@ -43,13 +43,17 @@ the upward air speed on a plane behind the flock. RViz or any Foxglove bridge ca
   /flock/view/transform    geometry_msgs/TransformStamped from the frame world to the frame flock,
                            which moves with the leader; also on /tf if tf2_msgs is installed
 
---foxglove serves them to Foxglove without a bridge. Details are in docs/view.md.
-Exit status: 0 picture written; 2 bad input, or no flock found within --timeout; 130 Ctrl-C."""
+--foxglove serves them to Foxglove without a bridge. --output writes those of a recorded flight into
+a rosbag2 bag (MCAP), for viewers that open files: Foxglove, Lichtblick, Rerun, or RViz through
+`ros2 bag play`. Details are in docs/view.md.
+Exit status: 0 bag or picture written; 1 the disk is full; 2 bad input, or no flock found within
+--timeout; 130 Ctrl-C."""
 
 EXAMPLES = """\
   ./flock view
   ./flock view --foxglove                    then open ws://localhost:8765 in Foxglove
   ./flock view --member 2 --rate 5
+  ./flock view --output runs/scene runs/demo
   ./flock view --picture scene.png runs/demo"""
 
 FOXGLOVE_PORT = "8765"
@@ -62,6 +66,9 @@ ORIGIN = re.compile(r"([a-z][a-z0-9+.-]*://[^/\s]*|null)/?", re.IGNORECASE)
 MOST_REFUSALS = 10
 """Largest number of refused web pages that are reported to the user."""
 
+RATE = "10"
+"""Default of --rate for a flock that is flown or played, in Hz."""
+
 FASTEST = 60.0
 """Largest --rate, in Hz: more than the eye sees, and more than viewers draw."""
 
@@ -73,7 +80,10 @@ def tool(arguments: Sequence[str]) -> int:
         "--member", metavar="M", default="1", help="number of the member to show (1)"
     )
     parser.add_argument(
-        "--rate", metavar="HZ", default="10", help="largest number of updates per second (10)"
+        "--rate",
+        metavar="HZ",
+        help=f"largest number of updates per second ({RATE}); with --output, number of pictures "
+        "per second of simulated time (as many as give about 300)",
     )
     parser.add_argument(
         "--config",
@@ -103,18 +113,65 @@ def tool(arguments: Sequence[str]) -> int:
         help="accept web pages from this origin, such as https://app.foxglove.dev; may be "
         "repeated. Programs, and pages that this machine serves, are always accepted",
     )
-    picture = parser.add_argument_group("picture")
-    picture.add_argument(
-        "--picture", metavar="FILE", type=Path, help="draw RUN to this file, and end"
+    recorded = parser.add_argument_group("recorded flight")
+    recorded.add_argument(
+        "run",
+        metavar="RUN",
+        nargs="?",
+        type=Path,
+        help="directory of a bag, for --output or --picture",
     )
-    picture.add_argument(
-        "run", metavar="RUN", nargs="?", type=Path, help="directory of a bag, for --picture"
+    recorded.add_argument(
+        "--output", metavar="DIR", type=Path, help="write the scene of RUN to a new bag, and end"
+    )
+    recorded.add_argument("--force", action="store_true", help="replace the bag in --output")
+    recorded.add_argument(
+        "--picture", metavar="FILE", type=Path, help="draw RUN to this file, and end"
     )
     add_moment_option(parser)
     options = parser.parse_args(arguments)
+    if options.output is not None:
+        return _record(options)
+    if options.force:
+        raise FlockError("--force: is for --output; give both, or leave it out")
     if options.picture is None:
         return _show(options)
     return _draw(options)
+
+
+def _record(options: Namespace) -> int:
+    """Write the scene of a recorded flight to a bag, and print its path."""
+    output, force = options.output, options.force
+    if options.run is None:
+        raise FlockError(f"--output {output}: needs a RUN to show; name the directory of a bag")
+    for name, value in (("--picture", options.picture), ("--foxglove", options.foxglove)):
+        if value is not None:
+            raise FlockError(f"--output and {name} exclude each other: leave one out")
+    if options.at is not None:
+        raise FlockError(f"--at {options.at}: is for --picture; --output shows the whole flight")
+    rate = None if options.rate is None else _rate(options.rate)
+
+    from flock_sim.console.progress import counter
+    from flock_sim.recording.output_directory import own_output
+    from flock_sim.recording.run import Run
+    from flock_tools.scene.scene_bag import Pictures, write_scene
+
+    with Run(options.run) as run:
+        if run.missing:
+            note(f"note: {run.missing}; its intact part is shown")
+        member = whole_number("--member", options.member, 1, run.configuration.members)
+        pictures = Pictures.of(run.configuration, run.at().step, rate)
+        with (
+            own_output(output, force) as owned,
+            counter("drawing", "pictures", len(pictures)) as show,
+        ):
+            size = write_scene(run, member - 1, pictures, owned, show)
+    note(
+        f"{len(pictures)} pictures of member {member}, {pictures.rate:.3g} per second of simulated "
+        f"time, {size / 1e6:.1f} MB; --rate HZ changes their number"
+    )
+    print(output)
+    return 0
 
 
 def _draw(options: Namespace) -> int:
@@ -143,15 +200,15 @@ def _draw(options: Namespace) -> int:
 
 def _show(options: Namespace) -> int:
     """Publish until Ctrl-C."""
-    for name, value in (("RUN", options.run), ("--at", options.at)):
-        if value is not None:
-            raise FlockError(
-                f"{name} {value}: is for --picture; to see a recorded flight, ./flock play RUN"
-            )
+    if options.run is not None:
+        raise FlockError(
+            f"RUN {options.run}: is for --output and --picture; to see a recorded flight live, "
+            "./flock play RUN"
+        )
+    if options.at is not None:
+        raise FlockError(f"--at {options.at}: is for --picture; give both")
     member = whole_number("--member", options.member, 1)
-    rate = positive_number("--rate", options.rate)
-    if rate > FASTEST:
-        raise FlockError(f"--rate {options.rate}: must be {FASTEST:g} or less")
+    rate = _rate(options.rate or RATE)
     timeout = positive_number("--timeout", options.timeout)
     if options.host is not None and options.foxglove is None:
         raise FlockError(f"--host {options.host}: is for --foxglove; give both")
@@ -168,6 +225,14 @@ def _show(options: Namespace) -> int:
     address = (options.host or HOST, port, origins)
     _publish(member, rate, timeout, assumed, address, stop)
     return stop.exit_status
+
+
+def _rate(text: str) -> float:
+    """Return the number of pictures per second. Raises FlockError if it is out of range."""
+    rate = positive_number("--rate", text)
+    if rate > FASTEST:
+        raise FlockError(f"--rate {text}: must be {FASTEST:g} or less")
+    return rate
 
 
 def origin(text: str) -> str:
