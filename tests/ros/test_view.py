@@ -21,6 +21,7 @@ from sensor_msgs.msg import Image
 from visualization_msgs.msg import MarkerArray
 from websockets.sync.client import ClientConnection, connect
 
+from flock_sim.bag.reading.reader import BagReader
 from flock_sim.errors import FlockError
 from flock_sim.messages.state import FRAME
 from flock_sim.recording.run import Run
@@ -123,6 +124,22 @@ def test_states_without_wings_are_refused_and_a_later_start_has_wings(terminal: 
     for each in (job, player):
         each.interrupt()
         assert each.wait().status == 130
+
+
+def test_a_written_scene_is_played(terminal: Terminal, visitor: Visitor) -> None:
+    terminal.well("reference", *FLOCK, "--output", "bag")
+    terminal.well("view", "bag", "--output", "scene")
+    topics = {"/flock/view/markers": MarkerArray, "/flock/view/upwash_color": Image}
+    with BagReader(terminal.directory / "scene") as bag:
+        written = {name: {data for _, _, data in bag.messages([name])} for name in topics}
+    heard: dict[str, list[bytes]] = {name: [] for name in topics}
+    for name, kind in topics.items():
+        visitor.node.create_subscription(kind, name, heard[name].append, 10, raw=True)
+    player = terminal.start("play", "scene", "--rate", 10, "--loop")
+    visitor.until(lambda: all(len(told) > 2 for told in heard.values()))
+    player.interrupt()
+    assert player.wait().status == 130
+    assert all(set(told) <= written[name] for name, told in heard.items())
 
 
 class Client:

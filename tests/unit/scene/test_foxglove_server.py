@@ -80,6 +80,19 @@ def test_one_trusted_origin_beside_another_is_not_enough(served: Served) -> None
         pass
 
 
+@pytest.mark.parametrize("protocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
+def test_clients_of_both_protocols_are_served(served: Served, protocol: str) -> None:
+    offered = [Subprotocol("another"), Subprotocol(protocol)]
+    with connect(served.server.address, subprotocols=offered) as connection:
+        assert connection.subprotocol == protocol
+        assert json.loads(connection.recv())["op"] == "serverInfo"
+        (tf,) = (
+            each for each in json.loads(connection.recv())["channels"] if each["topic"] == "/tf"
+        )
+        assert (tf["schemaName"], tf["schemaEncoding"]) == ("tf2_msgs/msg/TFMessage", "ros2msg")
+        assert tf["schema"].startswith("geometry_msgs/TransformStamped[] transforms\n")
+
+
 def until_told(connection: ClientConnection) -> bytes:
     """Return the next message that is no text."""
     while isinstance(data := connection.recv(timeout=60), str):
