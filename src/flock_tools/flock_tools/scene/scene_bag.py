@@ -75,8 +75,8 @@ def write_scene(
     The bag is written beside `output`, and takes its place once it is complete. `shown` is called
     with 1 after each picture. Raises FlockError if this is impossible, RunFailed for a full disk.
     """
-    place = output.path.resolve()
-    if place == run.path.resolve():
+    place, source = output.path.resolve(), run.path.resolve()
+    if place in (source, source.parent):  # the flight may be named by its file
         raise FlockError(f"--output {output.path}: is the flight itself; name another directory")
     try:
         with TemporaryDirectory(prefix=f".{place.name}-", dir=place.parent) as scratch:
