@@ -70,6 +70,8 @@ def test_birds_have_their_true_span_and_place_in_metres() -> None:
         assert shape.origin[0] == pytest.approx(-1.5 * abs(i - 2) * 0.8, abs=1e-12)
         assert shape.origin[1] == pytest.approx(-0.8 * lateral[i], abs=1e-12)  # y is to the left
     assert shown.origin == 1000.0
+    # REP 103: y is to the left, and bird 1 flies at the end of the left wing.
+    assert lateral[0] < 0.0 < birds[0].origin[1]
 
 
 def test_birds_are_coloured_by_the_drag_they_save() -> None:
