@@ -4,8 +4,8 @@
     ./flock python examples/plain_bird.py 2
 
 It flies as bird 2 of a flock whose other nodes run by hand. It supports nearest-neighbour coupling
-of standard birds over exact links, without forcing or pushes. The numbers in the comments are those of the steps
-in docs/ros.md, "A bird in another language".
+of standard birds over exact links, without forcing or pushes. The numbers in the comments are those
+of the steps in docs/ros.md, "A bird in another language".
 """
 
 from __future__ import annotations

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from flock_sim.configuration.flock_configuration import KEYS, FlockConfiguration
 from flock_sim.configuration.operation import OPERATION
-from flock_sim.console.arguments import shown
 from flock_sim.errors import FlockError
 from flock_sim.launcher.partition import MOST_PROCESSES, partition, process_count
 from flock_sim.messages.topics import NAMESPACE, RECORDER
+from flock_sim.outside.printing import shown
 from flock_sim.ros.node_parameters import FlightParameters, of_flight
 
 ARGUMENTS = {

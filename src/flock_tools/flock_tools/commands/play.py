@@ -10,6 +10,7 @@ from pathlib import Path
 from flock_sim.console.arguments import Parser, not_negative_number, note, print_json, run_tool
 from flock_sim.console.signals import Stop
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
+from flock_sim.ros.ros_arguments import split
 
 DESCRIPTION = """\
 Publish the recorded messages again: the same bytes, by their log time, on the same topics, with
@@ -95,6 +96,7 @@ def tool(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
     parser.add_argument("--json", action="store_true", help="print a summary as JSON on stdout")
+    arguments, ros_arguments = split(arguments)
     options = parser.parse_args(arguments)
     rate = not_negative_number("--rate", options.rate)
     prepare_discovery(options.network)
@@ -108,7 +110,7 @@ def tool(arguments: Sequence[str]) -> int:
             note(f"note: {bag.missing}; its intact part is played")
         for name in bag.left_out:
             note(f"note: {name} is left out: metadata.yaml does not list it")
-        facts = play(bag, options, rate, stop)
+        facts = play(bag, options, rate, stop, ros_arguments)
     if options.json:
         print_json(facts)
     else:

@@ -25,6 +25,7 @@ from flock_sim.console.signals import Stop
 from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError, RunFailed
 from flock_sim.ros.discovery import DOMAIN, NETWORK_HELP, prepare_discovery
+from flock_sim.ros.ros_arguments import split
 from flock_tools.commands.options import add_moment_option, moment
 from flock_tools.figures.output import check_picture, write_picture
 
@@ -129,7 +130,9 @@ def tool(arguments: Sequence[str]) -> int:
         "--picture", metavar="FILE", type=Path, help="draw RUN to this file, and end"
     )
     add_moment_option(parser)
+    arguments, ros_arguments = split(arguments)
     options = parser.parse_args(arguments)
+    options.ros_arguments = ros_arguments
     if options.output is not None:
         return _record(options)
     if options.force:
@@ -223,7 +226,7 @@ def _show(options: Namespace) -> int:
     prepare_discovery(options.network)
     stop = Stop(heed_interrupt=True)
     address = (options.host or HOST, port, origins)
-    _publish(member, rate, timeout, assumed, address, stop)
+    _publish(member, rate, timeout, assumed, address, stop, options.ros_arguments)
     return stop.exit_status
 
 
@@ -253,6 +256,7 @@ def _publish(
     assumed: FlockConfiguration,
     address: tuple[str, int | None, Sequence[str]],
     stop: Stop,
+    ros_arguments: Sequence[str],
 ) -> None:
     """Publish the received flock until `stop`. Raises FlockError if no flock is received."""
     # Imported here: a picture, or a report of bad input, does not need them.
@@ -274,7 +278,7 @@ def _publish(
                 FoxgloveServer(host, port, FOXGLOVE_TYPES, origins, _refusals())
             )
         viewer, executor = opened.enter_context(
-            watching(lambda context: Viewer(context, member, assumed, server))
+            watching(lambda context: Viewer(context, member, assumed, server), ros_arguments)
         )
         try:
             sample = first_sample(viewer, executor, member, timeout, stop)

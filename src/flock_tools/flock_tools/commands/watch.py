@@ -14,6 +14,7 @@ from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
 from flock_sim.outside.printing import one_line
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
+from flock_sim.ros.ros_arguments import split
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -117,6 +118,7 @@ def tool(arguments: Sequence[str]) -> int:
         "--timeout", metavar="S", default="10", help="how long to wait for a flock, in s (10)"
     )
     parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
+    arguments, ros_arguments = split(arguments)
     options = parser.parse_args(arguments)
     member = whole_number("--member", options.member, 1)
     timeout = positive_number("--timeout", options.timeout)
@@ -128,7 +130,7 @@ def tool(arguments: Sequence[str]) -> int:
 
     from flock_tools.live.listener import Watcher, first_sample, watching
 
-    with results_only_on_stdout(), watching(Watcher) as (watcher, executor):
+    with results_only_on_stdout(), watching(Watcher, ros_arguments) as (watcher, executor):
         sample = first_sample(watcher, executor, member, timeout, stop)
         if sample is not None and not once:
             _show(watcher, executor, member, sample, stop)

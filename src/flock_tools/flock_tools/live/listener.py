@@ -7,7 +7,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -115,9 +115,11 @@ class Watcher(FlockNode):
 
 
 @contextmanager
-def watching(make: Callable[[Context], Listener]) -> Iterator[tuple[Listener, Executor]]:
+def watching(
+    make: Callable[[Context], Listener], ros_arguments: Sequence[str] = ()
+) -> Iterator[tuple[Listener, Executor]]:
     """Give the node that `make` creates, and its executor. Remove both at the end."""
-    context = ros_context()
+    context = ros_context(ros_arguments)
     try:
         with executing("single", context) as executor:
             watcher = make(context)

@@ -14,7 +14,6 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -24,7 +23,7 @@ from flock_sim.messages import topics
 from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.types import Time
 from flock_sim.nodes.own_birds import announce
-from flock_sim.ros.endpoints import wait_until_heard
+from flock_sim.ros.endpoints import FlockNode, wait_until_heard
 from flock_tools.playback.loop import NotPublishable, Playback
 from flock_tools.playback.message_types import service_class
 from flock_tools.playback.schedule import BILLION
@@ -51,7 +50,7 @@ SERVED_WITHIN = 10.0
 """Longest wait of a service for the playback, which may be publishing, in s."""
 
 
-class Player(Node):
+class Player(FlockNode):
     """Publishes recorded bytes, and serves `~/pause ~/resume ~/seek` and the like."""
 
     def __init__(
@@ -142,8 +141,8 @@ class Player(Node):
     def _met(self) -> bool:
         """Whether all discovered listeners are connected."""
         return all(
-            outlet.get_subscription_count() >= self.count_subscribers(name)
-            for name, outlet in self._outlets.items()
+            outlet.get_subscription_count() >= self.count_subscribers(outlet.topic_name)
+            for outlet in self._outlets.values()
         )
 
     def serve(self, playback: Playback) -> None:

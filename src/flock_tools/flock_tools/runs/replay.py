@@ -47,7 +47,9 @@ FASTER = 1.1
 """Factor of the rate per press of the up arrow."""
 
 
-def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[str, Any]:
+def play(
+    bag: BagReader, options: Namespace, rate: float, stop: Stop, ros_arguments: Sequence[str] = ()
+) -> dict[str, Any]:
     """Play `bag` by `options` until its end or `stop`. Return a summary.
 
     Raises FlockError if an option is invalid, or if the options select no message.
@@ -66,7 +68,10 @@ def play(bag: BagReader, options: Namespace, rate: float, stop: Stop) -> dict[st
     span, start = (extract.first, extract.last), extract.start
     schedule = Schedule(span[0] + start, rate, paused=options.paused)
     own_birds = [part.name for part in recorded_parts(bag.records) if part.kind == BIRD]
-    with results_only_on_stdout(), _player(selection, own_birds, clock) as (player, spin):
+    with (
+        results_only_on_stdout(),
+        _player(selection, own_birds, clock, ros_arguments) as (player, spin),
+    ):
         playback = Playback(
             lambda at: selection.renamed(bag.by_time(selection.streams, at, extract.end)),
             player.say_when_heard if rate == 0.0 else player.say,
@@ -187,10 +192,13 @@ def _long_wait(left: float, since: int) -> str:
 
 @contextmanager
 def _player(
-    selection: Selection, own_birds: Sequence[str], clock: float | None
+    selection: Selection,
+    own_birds: Sequence[str],
+    clock: float | None,
+    ros_arguments: Sequence[str],
 ) -> Iterator[tuple[Player, Callable[[], None]]]:
     """Give the node, and a function that starts to serve its services in another thread."""
-    context: Context = ros_context(["--ros-args", "--disable-external-lib-logs"])
+    context: Context = ros_context(ros_arguments)
     try:
         with executing("single", context) as executor:
             player = Player(selection.topics, context, own_birds, clock=clock is not None)
