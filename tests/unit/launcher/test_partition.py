@@ -104,7 +104,7 @@ def test_limits_that_are_flown_refuse_them(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_a_launch_of_a_process_a_bird_names_the_other_one() -> None:
-    given = {"config": "", "output": "", "record": "true", "respawn": "true"}
+    given = {"config": "", "output": "", "namespace": "", "record": "true", "respawn": "true"}
     with pytest.raises(FlockError, match=r"birds 61: .* composed\.launch\.py with processes:=60"):
         Arguments.read({**given, "birds": "61"})
     assert Arguments.read({**given, "birds": "61", "processes": "60"}).processes == 60

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,8 @@ def test_arguments_win_over_the_file_and_the_file_over_the_defaults(tmp_path: Pa
         ({"record": "maybe"}, ["record = maybe", "true or false"]),
         ({"respawn": ""}, ["respawn = ", "true or false"]),
         ({"birds": "3", "processes": "4"}, ["processes 4", "1..3"]),
+        ({"namespace": "left wing"}, ["namespace = left wing", "letters, digits and _"]),
+        ({"namespace": "/"}, ["namespace = /", "letters, digits and _"]),
     ],
     ids=str,
 )
@@ -75,6 +78,27 @@ def test_a_wrong_argument_is_named_with_its_range(given: dict[str, str], named: 
         Arguments.read({**DEFAULTS, **given})
     assert [word for word in named if word not in str(refused.value)] == [], refused.value
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "pushed", "clock"),
+    [
+        ("", "", "/flock/clock"),
+        ("left", "", "/left/clock"),
+        ("left", "/fleet", "/fleet/left/clock"),
+        ("/left", "/fleet", "/left/clock"),
+        ("", "/fleet", "/fleet/clock"),
+    ],
+)
+def test_sections_of_the_file_are_those_of_the_namespace(
+    tmp_path: Path, given: str, pushed: str, clock: str
+) -> None:
+    """Only the clock of this namespace would fly another flock, which is refused by its name."""
+    file = tmp_path / "flock.yaml"
+    file.write_text(f"{clock}: {{ros__parameters: {{birds: 7}}}}")
+    texts = {**DEFAULTS, "config": str(file), "namespace": given}
+    with pytest.raises(FlockError, match=re.escape(clock.replace("clock", "recorder"))):
+        Arguments.read(texts, pushed)
 
 
 @pytest.mark.parametrize(

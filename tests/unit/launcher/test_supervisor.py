@@ -28,7 +28,8 @@ CHILDREN = {
     "deaf": "import signal, time\nsignal.signal(15, signal.SIG_IGN)\nReady()\ntime.sleep(1000)",
     "tells": (
         "import os, pathlib, sys\n"
-        "read = [pathlib.Path(file).read_text() for file in sys.argv[4::2]]\n"
+        "files = [word for word in sys.argv if word.startswith('/proc/')]\n"
+        "read = [pathlib.Path(file).read_text() for file in files]\n"
         f"said = (sys.argv[1:], os.environ.get('{SUPERVISED}'), str(os.getppid()), read)\n"
         "pathlib.Path('told').write_text(repr(said))"
     ),
@@ -117,13 +118,14 @@ def test_a_child_is_told_its_parameters_and_that_it_is_supervised(
     make_supervisor: MakeSupervisor, children: Path
 ) -> None:
     output = "runs/a: b #c"  # on a command line, ROS would read it as YAML
-    with make_supervisor({"birds": 3}) as supervisor:
+    ros = ("--ros-args", "-r", "__ns:=/left")
+    with make_supervisor({"birds": 3}, ros_arguments=ros) as supervisor:
         supervisor.start("one", "child_tells", {"run_id": 7, "indices": [1, 2], "output": output})
         supervisor.join(30.0)
     told, supervised, told_by, read = ast.literal_eval((children / "told").read_text())
     assert supervised == told_by
-    assert told[:2] == ["--ros-args", "--disable-external-lib-logs"]
-    assert told[2::2] == ["--params-file", "--params-file"]
+    assert told[:4] == [*ros, "--ros-args"]
+    assert told[4::2] == ["--params-file", "--params-file"]
     own = {"run_id": 7, "indices": [1, 2], "output": output}
     assert [yaml.safe_load(text) for text in read] == [
         {"/**": {"ros__parameters": parameters}} for parameters in ({"birds": 3}, own)

@@ -220,7 +220,7 @@ def test_a_state_is_stamped_with_its_simulated_time():
     # Step 36 of dt = 1 is 36 / 24 s = 1.5 s: b / U_min is 1/24 s.
     one = np.ones(1)
     state = State.at(FlockConfiguration(), 36, *6 * [one])
-    assert (state.seconds, state.nanoseconds, state.frame) == (1, 500_000_000, "flock")
+    assert (state.seconds, state.nanoseconds, state.frame) == (1, 500_000_000, "world")
     assert (state.step, state.time) == (36, 36.0)
 
 
@@ -256,8 +256,8 @@ def test_run_and_epoch_of_an_encoded_state_are_read_and_taken_out_without_decodi
 @given(message=MESSAGES[State])
 def test_a_state_is_encoded_as_every_other_message(message):
     assert message.encode() == Message.encode(message)
-    assert replace(message, frame="flock").encode() == Message.encode(
-        replace(message, frame="flock")
+    assert replace(message, frame="earth").encode() == Message.encode(
+        replace(message, frame="earth")
     )
 
 

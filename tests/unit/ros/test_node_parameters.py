@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from flock_sim.commands.fly import _parser, _plan
+from flock_sim.commands.fly import _options, _plan
 from flock_sim.commands.fly import tool as fly
 from flock_sim.commands.reference import tool as reference
 from flock_sim.configuration.flock_configuration import FlockConfiguration
@@ -35,7 +35,7 @@ def write(file: Path, found: dict[str, dict[str, Any]]) -> None:
 
 
 def planned(file: Path, *options: str) -> Plan:
-    return _plan(_parser().parse_args(["--config", str(file), *options]), None)
+    return _plan(_options(["--config", str(file), *options]), None)
 
 
 def refused(file: Path, *options: str) -> str:
@@ -75,7 +75,7 @@ def test_fly_gives_birds_and_recorder_what_their_sections_say(file: Path) -> Non
 
 
 def test_fly_without_a_file_is_as_before() -> None:
-    plan = _plan(_parser().parse_args(["--birds", "3"]), None)
+    plan = _plan(_options(["--birds", "3"]), None)
     assert (plan.window, plan.timeout, plan.executor, plan.record_stages) == (64, 60.0, "events", 0)
     assert plan.operation(["bird_03"]) == {}
 

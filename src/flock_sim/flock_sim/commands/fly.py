@@ -62,9 +62,7 @@ EXAMPLES = """\
 
 def tool(arguments: Sequence[str]) -> int:
     """Fly a flock over ROS 2, record it, and print its report."""
-    arguments, ros_arguments = split(arguments)
-    options = _parser().parse_args(arguments)
-    options.ros_arguments = tuple(ros_arguments)
+    options = _options(arguments)
     if not options.resume:
         if options.law:
             raise FlockError(LAW_WITHOUT_BAG)
@@ -105,6 +103,13 @@ def _fly(options: argparse.Namespace, plan: Plan, resumed: Resumable | None = No
             output.check()
         report(flight, plan.configuration, options.json)
     return 0
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    own, ros_arguments = split(arguments)
+    options = _parser().parse_args(own)
+    options.ros_arguments = tuple(ros_arguments)
+    return options
 
 
 def _parser() -> Parser:

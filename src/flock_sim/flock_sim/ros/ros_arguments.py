@@ -10,7 +10,6 @@ import itertools
 from collections.abc import Sequence
 
 from flock_sim.errors import FlockError
-from flock_sim.messages.topics import NAMESPACE
 
 BEGIN, END = "--ros-args", "--"
 
@@ -41,6 +40,9 @@ def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 def namespace(ros: Sequence[str]) -> str:
     """Return the namespace that ROS arguments give to all nodes, or the default one."""
+    # Imported here, since --help needs no numpy.
+    from flock_sim.messages.topics import NAMESPACE
+
     rules = [rule for word, rule in itertools.pairwise(ros) if word in ("-r", "--remap")]
     given = [rule.partition(":=")[2] for rule in rules if rule.startswith("__ns:=")]
     return given[0] if given else NAMESPACE

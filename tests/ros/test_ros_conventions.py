@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user of ROS 2 expects of any node: namespaces, logs, parameters, /clock, late listeners."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.context import Context
+from rclpy.logging import LoggingSeverity
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from flock_interfaces.msg import BirdState
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.messages import topics
+from flock_sim.ros.endpoints import DrainedNode
+from flock_sim.ros.late_parameters import LateParameters
+from support.terminal import Job, Terminal
+from support.visitor import Visitor, visiting
+
+LONG = ("--t-max", "1e7", "--record-every", "1000", "--no-record")
+"""Options of a flight that ends when it is told to."""
+
+
+@pytest.fixture
+def visitor(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Any:
+    with visiting(terminal, monkeypatch) as one:
+        yield one
+
+
+def fly(terminal: Terminal, *options: object) -> Job:
+    return terminal.start("fly", *options)
+
+
+def equal_to_the_reference(terminal: Terminal, bag: str, *options: object) -> bool:
+    terminal.well("reference", *options, "--output", "reference", "--force")
+    return terminal.run("compare", bag, "reference").status == 0
+
+
+def test_two_flocks_fly_in_two_namespaces_of_one_domain(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    """The states of each are those of its own reference, and bags have the usual names."""
+    flown = {"/left": ("--birds", 2), "/fleet/right": ("--birds", 3, "--coupling", "all")}
+    common = ("--t-max", 300, "--record-every", 10, "--processes", 2)
+    heard = {name: visitor.hear(BirdState, f"{name}/bird_02/state", depth=31) for name in flown}
+    stray = visitor.hear(BirdState, "/flock/bird_02/state")
+    jobs = {
+        name: fly(
+            terminal,
+            *(*options, *common, "--output", name.rpartition("/")[2]),
+            *("--ros-args", "-r", f"__ns:={name}"),
+        )
+        for name, options in flown.items()
+    }
+    visitor.until(lambda: all(len({s.step for s in states}) == 31 for states in heard.values()))
+    for job in jobs.values():
+        done = job.wait()
+        assert done.status == 0, done.stderr
+        assert "ignores" not in done.stderr
+    assert not stray
+    for name, options in flown.items():
+        assert equal_to_the_reference(terminal, name.rpartition("/")[2], *options, *common[:4])
+
+
+@pytest.mark.parametrize("service", ["clock/pause", "clock/resume"])
+def test_a_namespace_moves_services_too(terminal: Terminal, visitor: Visitor, service: str) -> None:
+    job = fly(terminal, "--birds", 2, *LONG, "--ros-args", "-r", "__ns:=/left")
+    assert visitor.ask(Trigger, f"/left/{service}").success
+    assert visitor.ask(Trigger, "/left/clock/stop").success
+    assert job.wait().status == 0
+
+
+def test_watch_and_a_remapped_topic_in_a_namespace(terminal: Terminal, visitor: Visitor) -> None:
+    ros = ("--ros-args", "-r", "__ns:=/left")
+    heard = visitor.hear(BirdState, "/left/elsewhere")
+    job = fly(terminal, "--birds", 2, *LONG, *ros, "-r", "bird_01/wing:=bird_01/span")
+    # The wing of bird 1 is remapped in all nodes, so bird 2 hears it, and the flock flies.
+    done = terminal.run("watch", "--json", *ros)
+    assert done.status == 0, done.stderr
+    assert done.json["birds"] == 2
+    assert terminal.run("watch", "--json", "--timeout", 3).status == 1  # not in /flock
+    visitor.until(lambda: visitor.node.count_publishers("/left/bird_01/span"))
+    assert not visitor.node.count_publishers("/left/bird_01/wing")
+    assert not heard
+    assert visitor.ask(Trigger, "/left/clock/stop").success
+    assert job.wait().status == 0
+
+
+def test_play_moves_the_recorded_topics(terminal: Terminal, visitor: Visitor) -> None:
+    terminal.well("reference", "--birds", 2, "--t-max", 20, "--output", "bag")
+    heard = visitor.hear(BirdState, "/left/bird_01/state")
+    terminal.well("play", "bag", "--rate", 0, "--ros-args", "-r", "__ns:=/left")
+    visitor.until(lambda: len(heard) == 3)
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_node_has_parameters_in_flight(
+    terminal: Terminal, visitor: Visitor, processes: int
+) -> None:
+    job = terminal.start("fly", "--birds", 3, "--t-max", "1e7", "--record-every", 1000,
+                         "--processes", processes, "--output", "bag")  # fmt: skip
+    for node in ("bird_01", "bird_02", "bird_03", "clock", "recorder"):
+        listed = visitor.ask(ListParameters, f"/flock/{node}/list_parameters").result.names
+        assert {"birds", "record_every", "run_id"} <= set(listed)
+        names = ["record_every", "index"] if node.startswith("bird") else ["record_every"]
+        told = visitor.ask(GetParameters, f"/flock/{node}/get_parameters", names=names).values
+        assert [value.integer_value for value in told] == [
+            1000,
+            int(node[-1]) if node[-1].isdigit() else 0,
+        ][: len(names)]
+    visitor.stop(job)
+
+
+def test_services_are_created_one_by_one_within_their_share_of_the_time(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("flock_sim.ros.late_parameters.time.monotonic", lambda: now[0])
+    options = {"start_parameter_services": False, "enable_rosout": False}
+    nodes = [DrainedNode(f"node_{k}", context=context, **options) for k in range(3)]
+    declared: list[Any] = []
+
+    def declare(node: Any) -> None:
+        declared.append(node)
+        now[0] += 1.0  # it takes a second
+
+    late = LateParameters(nodes, declare)
+    late.create_next()
+    assert declared == []  # the flight has not begun
+    late.begin()
+    for k in range(3):
+        late.create_next()
+        late.create_next()
+        assert declared == nodes[: k + 1]
+        assert len({s.srv_name for s in nodes[k].services}) == 6
+        now[0] += 19.0  # with the second above, 20 s: then a share of 5 % is used
+        late.create_next()
+        assert len(declared) == k + 1
+        now[0] += 1.0
+    for node in nodes:
+        node.destroy_node()
+
+
+def test_nodes_log_their_flight_to_rosout(terminal: Terminal, visitor: Visitor) -> None:
+    heard: list[Log] = []
+    visitor.node.create_subscription(Log, "/rosout", heard.append, 1000)
+    job = fly(terminal, "--birds", 2, "--t-max", "1e7", "--record-every", 1000, "--output", "bag")
+    visitor.until(lambda: any("the flock flies" in log.msg for log in heard))
+    visitor.until(lambda: any("is in flight" in log.msg for log in heard))
+    assert visitor.ask(Trigger, "/flock/clock/stop").success
+    visitor.until(lambda: any("the flight is over at step" in log.msg for log in heard))
+    done = job.wait()
+    assert done.status == 0
+    assert "[INFO]" not in done.stderr + done.stdout
+    assert {log.name for log in heard} >= {"flock.clock", "flock.bird_01", "flock.recorder"}
+    assert all(log.level == LoggingSeverity.INFO for log in heard if "flies" in log.msg)
+
+
+@pytest.mark.parametrize(("level", "shown"), [("info", True), ("warn", False)])
+def test_log_level_and_files_of_a_node_by_hand(terminal: Terminal, level: str, shown: bool) -> None:
+    words = ("-p", "birds:=1", "-p", "t_max:=10.0", "--log-level", level)
+    clock = terminal.start("clock", "--ros-args", *words, "-p", "record:=false")
+    bird = terminal.start("bird", "--ros-args", *words, "-p", "index:=1")
+    told = [job.wait() for job in (clock, bird)]
+    assert [done.status for done in told] == [0, 0]
+    ends = ("the flight is over at step 10", "has ended its flight at step 10")
+    for done, said in zip(told, ends, strict=True):
+        assert (said in done.stderr) == shown
+    logs = Path(terminal.environment["ROS_LOG_DIR"]).glob("*.log")
+    text = "".join(log.read_text() for log in logs)
+    assert ("the flight is over at step 10" in text) == shown
+
+
+def test_fly_shows_logs_if_asked(terminal: Terminal) -> None:
+    done = terminal.well(
+        *("fly", "--birds", 2, "--t-max", 20, "--no-record", "--json"),
+        *("--ros-args", "--enable-stdout-logs"),
+    )
+    assert re.search(r"\[INFO\] \[[\d.]+\] \[flock\.clock\]: the flight is over", done.stderr)
+    assert json.loads(done.stdout)["last_step"] == 20
+
+
+@pytest.mark.parametrize(("every", "steps"), [(0, 10), (1, 1), (4, 2)])
+def test_clock_is_as_fine_as_asked_and_the_flight_is_the_same(
+    terminal: Terminal, visitor: Visitor, every: int, steps: int
+) -> None:
+    """With record_every 10, every 4th step means the multiples of 4 and of 10."""
+    configuration = FlockConfiguration(birds=2, t_max=100.0)
+    due = {s for s in range(101) if s % 10 == 0 or (every and s % every == 0)}
+    heard = visitor.hear(Clock, "/clock", depth=1000)
+    terminal.well("fly", "--birds", 2, "--t-max", 100, "--clock-every", every, "--output", "bag")
+    stamps = [configuration.stamp(step) for step in sorted(due)]
+    visitor.until(lambda: len(heard) >= len(stamps))
+    assert [c.clock.sec * 10**9 + c.clock.nanosec for c in heard] == stamps
+    assert equal_to_the_reference(terminal, "bag", "--birds", 2, "--t-max", 100)
+
+
+def test_a_late_listener_gets_what_the_page_promises(terminal: Terminal, visitor: Visitor) -> None:
+    """The last messages, as many as the depth of the topic, without a gap."""
+    configuration = FlockConfiguration(birds=2, t_max=1e7, record_every=1)
+    depth = topics.depth(topics.state_topic(1), configuration)
+    assert depth == 1024
+    job = fly(terminal, "--birds", 2, "--t-max", 1e7, "--record-every", 1, "--no-record")
+    first = visitor.hear(BirdState, "/flock/bird_01/state", depth=1)
+    visitor.until(lambda: first and first[-1].step > 2 * depth)
+    paused = visitor.ask(Trigger, "/flock/clock/pause")
+    last = int(paused.message.rpartition(" ")[2])  # "the flight pauses at step 3000"
+    late = visitor.hear(BirdState, "/flock/bird_02/state", depth=5000)
+    visitor.until(lambda: late and late[-1].step == last)
+    steps = [state.step for state in late]
+    assert steps[0] <= last - depth + 1
+    assert steps == list(range(steps[0], last + 1))
+    visitor.stop(job)
+
+
+def test_states_are_in_the_frame_of_the_air(terminal: Terminal, visitor: Visitor) -> None:
+    heard = visitor.hear(BirdState, "/flock/bird_01/state")
+    terminal.well("fly", "--birds", 2, "--t-max", 20, "--no-record")
+    visitor.until(lambda: heard)
+    assert heard[0].header.frame_id == "world"
