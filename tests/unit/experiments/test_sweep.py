@@ -292,7 +292,7 @@ def test_bad_input_is_one_line(
     ("content", "words"),
     [
         (None, ["No such file"]),
-        ("axes: [", ["not YAML at line 1"]),
+        ("axes: [", ["not YAML at line 2"]),
         ("axes:\n  dt: [1]\n  dt: [2]\n", ["'dt' is given twice"]),
         ("- dt", ["must have a section `axes:`"]),
         ("axis: {dt: [1]}", ["unknown section 'axis'", "did you mean 'axes'"]),

@@ -109,7 +109,7 @@ def test_an_output_below_a_file_is_refused(tmp_path: Path, force: bool) -> None:
 
 def test_an_output_that_fails_halfway_leaves_no_parents(tmp_path: Path) -> None:
     with pytest.raises(FlockError, match="File name too long"):
-        own_output(tmp_path / "a" / ("x" * 300) / "b", force=False)
+        own_output(tmp_path / "a" / "b" / ("x" * 300) / "run", force=False)
     assert tree(tmp_path) == {}
 
 
