@@ -244,7 +244,7 @@ def test_an_output_that_cannot_be_written_is_one_line_and_status_2(
     for output, named in (
         ("file", "File exists"),
         ("file/below", "Not a directory"),
-        ("taken", "figure_2.png: can't be written: Is a directory"),
+        ("taken", "figure_2.png: is a directory"),
     ):
         error = error_of(tool, capsys, "--output", str(tmp_path / output))
         assert error.startswith(f"error: --output {tmp_path / output}")
