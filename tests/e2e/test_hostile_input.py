@@ -73,6 +73,7 @@ PARAMETERS = {
     "bytes": ("birds: !!binary aGFsbG8=", "line 3: tag !!binary"),
     "set": ("span_ratios: !!set {a, b}", "line 3: tag !!set"),
     "null": ("birds: ~", "birds = None: must be a number"),
+    "number of links": ("links: 20", "links = 20: must be a list such as"),
     "infinite whole number": ("record_every: .inf", "must be a whole number"),
     "keys": ("\n    ".join(f"k{k}: 1" for k in range(250_000)), "more than 500000 values"),
     "entries": (f"span_ratios: [{'a, ' * 500_000}]", "more than 500000 values"),

@@ -8,7 +8,7 @@ parameters alike, so a value has the same meaning, and the same error messages, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -114,7 +114,7 @@ class FlockConfiguration:
         if one can't be loaded or compiled, or has a bad parameter.
         """
         links = parameters.get("links", ())
-        if links and not isinstance(links, str):
+        if isinstance(links, Iterable) and not isinstance(links, str):
             from flock_sim.links.installed import load
 
             load(entry for entry in links if isinstance(entry, str) and entry)
