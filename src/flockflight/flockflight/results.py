@@ -17,7 +17,7 @@ from flock_sim.response.linear_response import linear_response
 from flock_sim.theory.delayed_linearisation import MODELS
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES as OF_FLIGHTS
 from flock_tools.experiments.sweep.dataset import BIRD, GAP, Values, labelled, put
-from flock_tools.runs.dataset import attributes_of
+from flock_tools.runs.dataset import LATERAL_SIGN, attributes_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -218,6 +218,8 @@ def dataset(
     for members, values in parts:
         put(together, size, members, values)
     found = labelled(together, birds, axes, ATTRIBUTES)
+    if "lateral" in found:
+        found.lateral.attrs["comment"] = LATERAL_SIGN
     found.attrs = {**about}
     return found
 

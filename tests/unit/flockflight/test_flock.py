@@ -205,6 +205,12 @@ def test_what_was_meant_is_named(call: object, told: str) -> None:
         call()  # type: ignore[operator]
 
 
+def test_lateral_says_which_side_is_negative() -> None:
+    lateral = ff.Flock(3).equilibrium().lateral
+    assert lateral.sel(bird=1) < 0.0
+    assert "negative on the left wing, where bird 1 flies" in lateral.attrs["comment"]
+
+
 def test_a_table_has_a_row_for_each_bird_or_each_point_of_a_sweep() -> None:
     flock = ff.Flock(3)
     birds = ff.table(flock.equilibrium())

@@ -69,6 +69,13 @@ def test_everything_has_a_name_and_a_unit(flight: Path) -> None:
     assert data.circulation.attrs["symbol"] == "Gamma_i"
 
 
+def test_lateral_says_which_side_is_negative(flight: Path) -> None:
+    lateral = load(flight).lateral
+    assert (lateral.sel(bird=1) < 0.0).all()
+    assert "negative on the left wing, where bird 1 flies" in lateral.attrs["comment"]
+    assert "-lateral * b" in lateral.attrs["comment"]
+
+
 @pytest.mark.parametrize(
     ("choice", "times"),
     [

@@ -48,6 +48,12 @@ ATTRIBUTES = {
 }
 """Long name, symbol in the paper and unit of every coordinate and variable."""
 
+LATERAL_SIGN = (
+    "The sign is that of the paper: negative on the left wing, where bird 1 flies. "
+    "y of REP 103, to the left in m, is -lateral * b."
+)
+"""The attribute `comment` of `lateral`."""
+
 
 def load(
     path: str | Path, start: float | None = None, end: float | None = None, stride: int = 1
@@ -63,8 +69,9 @@ def load(
     flight up to the last of these times, and `verdict_reason` (member),
     `span_ratio` and `lateral` (bird, member), `forcing_state`, if laws with a state act on birds,
     (time, bird, state_number, member), the coordinate `step` (time); all dimensionless, with
-    `long_name`, `units` and the paper's `symbol` as attributes. The attributes of the dataset are
-    the configuration, the leader and the unit of time in s. A truncated bag also has `missing`; its
+    `long_name`, `units` and the paper's `symbol` as attributes. `lateral` is negative on the left
+    wing, where bird 1 flies, and says so in `comment`. The attributes of the dataset are the
+    configuration, the leader and the unit of time in s. A truncated bag also has `missing`; its
     last time is the last one that all birds have.
 
     Raises FlockError if the bag does not exist, is not Flock's, or has nothing at these times.
@@ -134,6 +141,7 @@ def _described(dataset: xr.Dataset) -> xr.Dataset:
         dataset[name].attrs = {"long_name": long_name, "units": units}
         if symbol:
             dataset[name].attrs["symbol"] = symbol
+    dataset.lateral.attrs["comment"] = LATERAL_SIGN
     return dataset
 
 
