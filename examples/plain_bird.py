@@ -252,6 +252,8 @@ def main() -> None:
     while not bird.done:
         rclpy.spin_once(bird, timeout_sec=0.5)
     print(f"{bird.get_name()} has reached step {bird.step}")
+    bird.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -12,12 +12,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from flock_sim.bag.definitions import COPIES, Definition, installed_definition
 from flock_sim.messages.types import Message
-from flock_tools.scene.messages import IMAGE, MARKERS, TRANSFORM, TRANSFORMS
+from flock_tools.scene.messages import IMAGE, MARKERS, ODOMETRY, TRANSFORM, TRANSFORMS
 
 
 def all_definitions() -> list[Definition]:
     """Return the definitions of the messages of flights and scenes, in the order of their types."""
-    types = {kind.TYPE for kind in Message.__subclasses__()} | {MARKERS, IMAGE, TRANSFORM}
+    types = {kind.TYPE for kind in Message.__subclasses__()} | {MARKERS, IMAGE, ODOMETRY, TRANSFORM}
     found = [*map(installed_definition, types), tf_definition()]
     return sorted(found, key=lambda definition: definition.type)
 

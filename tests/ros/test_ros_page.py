@@ -13,18 +13,26 @@ import pytest
 from flock_interfaces.msg import BirdState
 from flock_tools.runs.dataset import load
 from support.bags import last_step
-from support.terminal import Terminal
+from support.terminal import Job, Terminal
 from support.visitor import Visitor, visiting
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "ros.md"
+BIRD = ROOT / "examples" / "plain_bird.py"
+
+
+def start_plain(terminal: Terminal, *words: object) -> Job:
+    """Start a program that has none of Flock's settings, but leaves no shared memory behind."""
+    environment = {**terminal.environment, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    command = [sys.executable, "-P", *map(str, words)]
+    return terminal.start_command("plain", command, env=environment)
 
 
 def test_the_listener_of_the_page_hears_all_rows(terminal: Terminal) -> None:
     (code,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     script = terminal.directory / "spacing.py"
     script.write_text(code)
-    listener = terminal.start_command("spacing", [sys.executable, "-P", str(script)])
+    listener = start_plain(terminal, script)
     terminal.well("fly", "--birds", 3, "--t-max", 100, "--output", "bag")
     done = listener.wait()
     assert (done.status, done.stderr) == (0, "")
@@ -39,12 +47,11 @@ def test_the_listener_of_the_page_hears_all_rows(terminal: Terminal) -> None:
 def test_a_bird_in_plain_rclpy_flies_between_birds_of_flock(terminal: Terminal) -> None:
     """Also in a namespace. Its state has no means, so the run has none, but a digest."""
     given = ["--ros-args", "-r", "__ns:=/left", "-p", "birds:=3", "-p", "t_max:=200.0"]
-    plain = [sys.executable, "-P", str(ROOT / "examples" / "plain_bird.py"), "2", *given[:3]]
     jobs = [
         terminal.start("clock", *given),
         terminal.start("recorder", *given, "-p", "output:=bag"),
         *(terminal.start("bird", *given, "-p", f"index:={bird}") for bird in (1, 3)),
-        terminal.start_command("plain_bird", plain),
+        start_plain(terminal, BIRD, 2, *given[:3]),
     ]
     for job in jobs:
         done = job.wait()
@@ -76,15 +83,14 @@ def test_a_plain_bird_starts_again_after_its_death(
 
 def _kill_and_start_again(terminal: Terminal, visitor: Visitor) -> None:
     given = ["--ros-args", "-p", "birds:=2", "-p", "t_max:=1e5", "-p", "record_every:=100"]
-    plain = [sys.executable, "-P", str(ROOT / "examples" / "plain_bird.py"), "2"]
     clock = terminal.start("clock", *given)
     recorder = terminal.start("recorder", *given, "-p", "output:=bag")
     bird = terminal.start("bird", *given, "-p", "index:=1")
-    first = terminal.start_command("plain_bird", plain)
+    first = start_plain(terminal, BIRD, 2)
     clock.until_said("the flock flies, at step 0")
     first.process.kill()
     first.wait()
-    second = terminal.start_command("plain_bird", plain)
+    second = start_plain(terminal, BIRD, 2)
     clock.until_said("the flock is rewound")
     clock.until(lambda: clock.stderr.count("the flock flies") == 2)
     states = visitor.hear(BirdState, "/flock/bird_02/state", depth=1)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import Image
@@ -106,6 +107,35 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
     for each in (job, player):
         each.interrupt()
         assert each.wait().status == 130
+
+
+def test_odometry_of_all_birds_of_a_flight_is_heard(terminal: Terminal, visitor: Visitor) -> None:
+    (terminal.directory / "flock.yaml").write_text(
+        "/**: {ros__parameters: {birds: 3, wing_span: 1.6, min_drag_speed: 17.0}}"
+    )
+    birds = range(1, 4)
+    flight = terminal.start("fly", "--config", "flock.yaml", "--t-max", 1e6, "--output", "flown")
+    job = terminal.start("view", "--odometry", "--timeout", 60)
+    heard: dict[int, list[Odometry]] = {bird: [] for bird in birds}
+    for bird in birds:
+        topic = f"/flock/bird_{bird:02d}/odometry"
+        visitor.node.create_subscription(Odometry, topic, heard[bird].append, 10)
+    visitor.until(lambda: all(heard.values()))
+    told = {bird: heard[bird][-1] for bird in birds}
+    stamps = {bird: 10**9 * m.header.stamp.sec + m.header.stamp.nanosec for bird, m in told.items()}
+    flight.until(lambda: recorded_to(terminal.directory / "flown") >= max(stamps.values()))
+    for each in (job, flight):
+        each.interrupt()
+        assert each.wait().status == 130
+    for bird, message in told.items():
+        snapshot = recorded(terminal, "flown", *divmod(stamps[bird], 10**9), 1).snapshot
+        assert message.header.frame_id == "world"
+        assert message.child_frame_id == f"bird_{bird:02d}"
+        place, speed = message.pose.pose.position, message.twist.twist.linear
+        assert place.x == pytest.approx(0.8 * snapshot.state.position[bird - 1])  # b = 0.8 m
+        assert place.y == pytest.approx(-0.8 * snapshot.lateral[bird - 1])
+        assert speed.x == pytest.approx(17.0 * snapshot.state.speed[bird - 1])
+    assert told[1].pose.pose.position.y > told[2].pose.pose.position.y == 0.0
 
 
 def test_states_without_wings_are_refused_and_a_later_start_has_wings(terminal: Terminal) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Image
@@ -81,3 +82,36 @@ def test_the_transform_takes_the_flock_to_where_its_leader_is() -> None:
     assert (same.header.stamp.sec, same.header.stamp.nanosec) == (1, 2)
     assert same.transform.translation.x == 800.0
     assert same.transform.rotation.w == 1.0
+
+
+@pytest.mark.parametrize("bird", [1, 3, 5])
+def test_odometry_is_that_of_nav_msgs(bird: int) -> None:
+    snapshot = SHOWN.snapshot
+    expected = Odometry()
+    expected.header.stamp.sec, expected.header.stamp.nanosec = 1, 2
+    expected.header.frame_id, expected.child_frame_id = "world", f"bird_{bird:02d}"
+    place = expected.pose.pose.position
+    place.x = 0.8 * float(snapshot.state.position[bird - 1])  # b = 0.8 m
+    place.y = 0.0 - 0.8 * float(snapshot.lateral[bird - 1])
+    expected.twist.twist.linear.x = 17.0 * 1.2  # U_min = 17 m/s
+    data = messages.odometry(snapshot, bird)
+    assert deserialize_message(data, Odometry) == expected
+    written = bytearray(serialize_message(expected))
+    gap = data.index(b"world\0") + 6
+    written[gap : gap + 2] = bytes(2)  # what fills the gap has no meaning
+    assert data == bytes(written)
+
+
+def test_tf_has_the_frames_of_birds_beside_that_of_the_flock() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    data = messages.transforms(SHOWN.snapshot, [1, 3, 5])
+    flock, *birds = store.deserialize_cdr(data, messages.TRANSFORMS).transforms
+    assert flock.child_frame_id == "flock"
+    assert [told.child_frame_id for told in birds] == ["bird_01", "bird_03", "bird_05"]
+    for told, place in zip(birds, SHOWN.snapshot.world[[0, 2, 4]], strict=True):
+        assert told.header == flock.header
+        shift, turn = told.transform.translation, told.transform.rotation
+        assert (shift.x, shift.y, shift.z) == tuple(place)
+        assert (turn.x, turn.y, turn.z, turn.w) == (0.0, 0.0, 0.0, 1.0)
+    leader = birds[1].transform.translation
+    assert (leader.x, leader.y) == (flock.transform.translation.x, 0.0)

@@ -228,6 +228,7 @@ def test_a_diverged_flock_is_drawn_as_far_as_it_has_finite_states(
         (["--output", "/proc/none/scene", "FLIGHT"], ["/proc/none/scene", "can't be written"]),
         (["--picture", "a.xyz", "FLIGHT"], ["--picture a.xyz", "png"]),
         (["--picture", "a.png", "--foxglove", "0", "FLIGHT"], ["exclude"]),
+        (["--picture", "a.png", "--odometry", "FLIGHT"], ["--odometry", "exclude"]),
         (["--picture", "a.png", "--member", "3", "FLIGHT"], ["--member 3", "1..2"]),
         (["--picture", "a.png", "--at", "7", "FLIGHT"], ["time 7", "not recorded"]),
     ],

@@ -80,6 +80,32 @@ def test_rosbags_reads_the_scene_of_each_recorded_row(flight: Path, tmp_path: Pa
             assert stamp.sec * 1_000_000_000 + stamp.nanosec == time
 
 
+def test_odometry_of_each_bird_is_added(flight: Path, tmp_path: Path) -> None:
+    assert view(flight, "--output", tmp_path / "scene", "--member", 2, "--odometry") == 0
+    with AnyReader([tmp_path / "scene"]) as bag, Run(flight) as run:
+        rows = list(run.snapshots())
+        lateral = run.metrics().lateral[1]  # of member 2
+        for bird in (1, 2, 3):
+            wanted = [c for c in bag.connections if c.topic == f"/flock/bird_{bird:02d}/odometry"]
+            told = [
+                (time, bag.deserialize(data, "nav_msgs/msg/Odometry"))
+                for _, time, data in bag.messages(wanted)
+            ]
+            assert len(told) == len(rows)
+            for (time, message), row in zip(told, rows, strict=True):
+                assert time == THREE.stamp(row.step)
+                assert message.header.frame_id == "world"
+                assert message.child_frame_id == f"bird_{bird:02d}"
+                place, speed = message.pose.pose.position, message.twist.twist.linear
+                assert place.x == pytest.approx(0.75 * row.position[bird - 1, 1])  # b = 0.75 m
+                assert place.y == pytest.approx(-0.75 * lateral[bird - 1])
+                assert speed.x == pytest.approx(18.0 * row.speed[bird - 1, 1])  # U_min = 18 m/s
+        tf = [c for c in bag.connections if c.topic == "/tf"]
+        _, _, data = next(bag.messages(tf))
+        frames = [each.child_frame_id for each in bag.deserialize(data, tf[0].msgtype).transforms]
+        assert frames == ["flock", "bird_01", "bird_02", "bird_03"]
+
+
 def test_mcap_reads_it_with_full_definitions(flight: Path, tmp_path: Path) -> None:
     assert view(flight, "--output", tmp_path / "scene") == 0
     with (tmp_path / "scene" / "scene_0.mcap").open("rb") as file:
@@ -225,10 +251,14 @@ def test_a_diverged_flock_is_shown_and_its_markers_are_removed(tmp_path: Path) -
 
     flown = FlockConfiguration(birds=3, t_max=25.0, record_every=5)
     path = record(tmp_path / "run", flown, diverged)
-    assert view(path, "--output", tmp_path / "scene") == 0
+    assert view(path, "--output", tmp_path / "scene", "--odometry") == 0
     with AnyReader([tmp_path / "scene"]) as bag:
         wanted = [c for c in bag.connections if c.topic == "/flock/view/markers"]
         arrays = [bag.deserialize(data, c.msgtype) for c, _, data in bag.messages(wanted)]
+        odometry = [c for c in bag.connections if c.topic == "/flock/bird_01/odometry"]
+        assert [time for _, time, _ in bag.messages(odometry)] == [
+            flown.stamp(step) for step in (0, 5, 10)
+        ]
     removes = [[marker.action for marker in array.markers[:1]] == [3] for array in arrays]
     assert removes == [True, False, False, True, False, False]
 

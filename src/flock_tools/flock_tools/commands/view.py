@@ -44,6 +44,10 @@ the upward air speed on a plane behind the flock. RViz or any Foxglove bridge ca
   /flock/view/transform    geometry_msgs/TransformStamped from the frame world to the frame flock,
                            which moves with the leader; also on /tf if tf2_msgs is installed
 
+and with --odometry also
+
+  /flock/bird_NN/odometry  nav_msgs/Odometry of each bird, from the frame world to the frame bird_NN
+
 --foxglove serves them to Foxglove without a bridge. --output writes those of a recorded flight into
 a rosbag2 bag (MCAP), for viewers that open files: Foxglove, Lichtblick, Rerun, or RViz through
 `ros2 bag play`. Details are in docs/view.md.
@@ -54,6 +58,7 @@ EXAMPLES = """\
   ./flock view
   ./flock view --foxglove                    then open ws://localhost:8765 in Foxglove
   ./flock view --member 2 --rate 5
+  ./flock view --odometry
   ./flock view --output runs/scene runs/demo
   ./flock view --picture scene.png runs/demo"""
 
@@ -96,6 +101,12 @@ def tool(arguments: Sequence[str]) -> int:
         "--timeout", metavar="S", default="10", help="how long to wait for a flock, in s (10)"
     )
     parser.add_argument("--network", action="store_true", help=NETWORK_HELP)
+    parser.add_argument(
+        "--odometry",
+        action="store_true",
+        help="publish, or write with --output, also nav_msgs/Odometry of each bird, and its frame "
+        "bird_NN on /tf",
+    )
     server = parser.add_argument_group("Foxglove")
     server.add_argument(
         "--foxglove",
@@ -168,7 +179,7 @@ def _record(options: Namespace) -> int:
             own_output(output, force) as owned,
             counter("drawing", "pictures", len(pictures)) as show,
         ):
-            size = write_scene(run, member - 1, pictures, owned, show)
+            size = write_scene(run, member - 1, pictures, owned, show, options.odometry)
     note(
         f"{len(pictures)} pictures of member {member}, {pictures.rate:.3g} per second of simulated "
         f"time, {size / 1e6:.1f} MB; --rate HZ changes their number"
@@ -185,6 +196,8 @@ def _draw(options: Namespace) -> int:
         )
     if options.foxglove is not None:
         raise FlockError("--picture and --foxglove exclude each other: leave one out")
+    if options.odometry:
+        raise FlockError("--picture and --odometry exclude each other: leave one out")
     time_shown = moment(options)
     check_picture(options.picture, "--picture")
 
@@ -226,7 +239,7 @@ def _show(options: Namespace) -> int:
     prepare_discovery(options.network)
     stop = Stop(heed_interrupt=True)
     address = (options.host or HOST, port, origins)
-    _publish(member, rate, timeout, assumed, address, stop, options.ros_arguments)
+    _publish(member, rate, timeout, assumed, address, options.odometry, stop, options.ros_arguments)
     return stop.exit_status
 
 
@@ -255,6 +268,7 @@ def _publish(
     timeout: float,
     assumed: FlockConfiguration,
     address: tuple[str, int | None, Sequence[str]],
+    odometry: bool,
     stop: Stop,
     ros_arguments: Sequence[str],
 ) -> None:
@@ -278,7 +292,9 @@ def _publish(
                 FoxgloveServer(host, port, FOXGLOVE_TYPES, origins, _refusals())
             )
         viewer, executor = opened.enter_context(
-            watching(lambda context: Viewer(context, member, assumed, server), ros_arguments)
+            watching(
+                lambda context: Viewer(context, member, assumed, server, odometry), ros_arguments
+            )
         )
         try:
             sample = first_sample(viewer, executor, member, timeout, stop)

@@ -21,6 +21,9 @@ COLOR_TOPIC = f"{topics.NAMESPACE}/view/upwash_color"
 TRANSFORM_TOPIC = f"{topics.NAMESPACE}/view/transform"
 TF_TOPIC = "/tf"
 
+ODOMETRY_DEPTH = 10
+"""Depth of the queues of Odometry."""
+
 TRAIL = 600
 """Largest number of points of a trail."""
 
@@ -28,9 +31,20 @@ TRAIL = 600
 class Frame:
     """A snapshot as serialised messages. Each is created when it is first used."""
 
-    def __init__(self, snapshot: Snapshot, trail: Sequence[FloatArray], anew: bool) -> None:
-        """Store the snapshot. With `anew`, the markers first remove all earlier ones."""
+    def __init__(
+        self,
+        snapshot: Snapshot,
+        trail: Sequence[FloatArray],
+        anew: bool,
+        odometry: bool = False,
+    ) -> None:
+        """Store the snapshot. With `anew`, the markers first remove all earlier ones.
+
+        With `odometry`, each bird has a frame on /tf, and an Odometry.
+        """
         self.snapshot = snapshot
+        self.birds = snapshot.finite_birds if odometry else []
+        """Numbers of the birds that have an Odometry; a bird that has diverged has none."""
         self.trail = trail
         self.anew = anew
 
@@ -68,7 +82,11 @@ class Frame:
     @cached_property
     def transforms(self) -> bytes:
         """A TFMessage."""
-        return messages.transforms(self.snapshot)
+        return messages.transforms(self.snapshot, self.birds)
+
+    def odometry(self, bird: int) -> bytes:
+        """Return the Odometry of one of `birds`."""
+        return messages.odometry(self.snapshot, bird)
 
 
 class SceneTopic(NamedTuple):
@@ -87,3 +105,8 @@ TOPICS = {
     TF_TOPIC: SceneTopic(messages.TRANSFORMS, lambda frame: frame.transforms, 100),
 }
 """The topics of a scene by name."""
+
+
+def odometry_topic(bird: int) -> str:
+    """Return the topic of the Odometry of a bird, relative to the namespace of the flock."""
+    return f"{topics.bird_name(bird)}/odometry"

@@ -7,7 +7,7 @@ points. A test compares these bytes with the generated message types.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from flock_sim.messages.cdr import ENCAPSULATION, align, put
 from flock_sim.messages.state import FRAME as WORLD
+from flock_sim.messages.topics import bird_name
 from flock_sim.physics.arrays import FloatArray
 from flock_tools.scene.marker import Kind, Shape
 from flock_tools.scene.shapes import Scene
@@ -28,8 +29,12 @@ MARKERS = "visualization_msgs/msg/MarkerArray"
 IMAGE = "sensor_msgs/msg/Image"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
 
 ADD, DELETE_ALL = 0, 3
+
+COVARIANCE = bytes(36 * 8)
+"""A covariance of 6 x 6 zeros."""
 
 NUMBERS, COLORS = "32FC1", "rgb8"
 """Encodings of images: one float32 per pixel, in m/s, or three bytes."""
@@ -62,22 +67,40 @@ def image(snapshot: Snapshot, pixels: npt.NDArray[Any], encoding: str) -> bytes:
 def transform(snapshot: Snapshot) -> bytes:
     """Return a TransformStamped from FRAME, which moves with the flock, to WORLD."""
     data = bytearray(ENCAPSULATION)
-    _put_transform(data, snapshot)
+    _put_flock(data, snapshot)
     return bytes(data)
 
 
-def transforms(snapshot: Snapshot) -> bytes:
-    """Return the same as a TFMessage, the type of /tf."""
+def transforms(snapshot: Snapshot, birds: Sequence[int] = ()) -> bytes:
+    """Return the same as a TFMessage, the type of /tf, with the frames of `birds`, from 1, too."""
     data = bytearray(ENCAPSULATION)
-    put(data, "I", 1)
-    _put_transform(data, snapshot)
+    put(data, "I", 1 + len(birds))
+    _put_flock(data, snapshot)
+    for bird in birds:
+        _put_pose(data, snapshot, bird_name(bird), snapshot.world[bird - 1])
     return bytes(data)
 
 
-def _put_transform(data: bytearray, snapshot: Snapshot) -> None:
+def odometry(snapshot: Snapshot, bird: int) -> bytes:
+    """Return the Odometry of `bird`, from 1. All covariances are 0, since its state is exact."""
+    data = bytearray(ENCAPSULATION)
+    _put_pose(data, snapshot, bird_name(bird), snapshot.world[bird - 1])
+    data += COVARIANCE
+    speed = float(snapshot.world_speed[bird - 1])
+    _put_all(data, 6 * "d", (speed, 0.0, 0.0, 0.0, 0.0, 0.0))
+    data += COVARIANCE
+    return bytes(data)
+
+
+def _put_flock(data: bytearray, snapshot: Snapshot) -> None:
+    _put_pose(data, snapshot, FRAME, (snapshot.origin * snapshot.metre, 0.0, 0.0))
+
+
+def _put_pose(data: bytearray, snapshot: Snapshot, frame: str, place: Iterable[float]) -> None:
+    """Append the header, the name of `frame`, and its origin and orientation in WORLD."""
     _put_header(data, snapshot.stamp, WORLD)
-    put(data, "text", FRAME)
-    _put_all(data, 7 * "d", (snapshot.origin * snapshot.metre, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    put(data, "text", frame)
+    _put_all(data, 7 * "d", (*place, 0.0, 0.0, 0.0, 1.0))
 
 
 def _put_header(data: bytearray, stamp: tuple[int, int], frame: str) -> None:

@@ -17,12 +17,13 @@ from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
-from flock_sim.messages.topics import CLOCK_TOPIC
+from flock_sim.messages.topics import CLOCK_TOPIC, NAMESPACE
 from flock_sim.messages.types import BILLION, Time
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.output_directory import Output
 from flock_sim.recording.run import Run
-from flock_tools.scene.frame import TOPICS, TRAIL, Frame
+from flock_tools.scene import messages
+from flock_tools.scene.frame import ODOMETRY_DEPTH, TOPICS, TRAIL, Frame, odometry_topic
 from flock_tools.scene.snapshot import Snapshot
 
 MOST_PICTURES = 300
@@ -68,12 +69,18 @@ class Pictures:
 
 
 def write_scene(
-    run: Run, m: int, pictures: Pictures, output: Output, shown: Callable[[float], None]
+    run: Run,
+    m: int,
+    pictures: Pictures,
+    output: Output,
+    shown: Callable[[float], None],
+    odometry: bool = False,
 ) -> int:
     """Write the scene of the member with index `m` to `output`; return the size in bytes.
 
     The bag is written beside `output`, and takes its place once it is complete. `shown` is called
-    with 1 after each picture. Raises FlockError if this is impossible, RunFailed for a full disk.
+    with 1 after each picture. With `odometry`, the bag has the Odometry of each bird, too.
+    Raises FlockError if this is impossible, RunFailed for a full disk.
     """
     place, source = output.path.resolve(), run.path.resolve()
     if place in (source, source.parent):  # the flight may be named by its file
@@ -81,7 +88,7 @@ def write_scene(
     try:
         with TemporaryDirectory(prefix=f".{place.name}-", dir=place.parent) as scratch:
             written = Path(scratch) / place.name
-            size = _write(run, m, pictures, written, shown)
+            size = _write(run, m, pictures, written, shown, odometry)
             output.check()
             for entry in bag_files(place):
                 entry.unlink()
@@ -96,12 +103,22 @@ def write_scene(
 
 
 def _write(
-    run: Run, m: int, pictures: Pictures, directory: Path, shown: Callable[[float], None]
+    run: Run,
+    m: int,
+    pictures: Pictures,
+    directory: Path,
+    shown: Callable[[float], None],
+    odometry: bool,
 ) -> int:
     """Write a bag to a new `directory`; return its size in bytes."""
     record = {"member": str(m + 1), "flock_version": __version__}
     topics = [Topic(CLOCK_TOPIC, Time.TYPE)]
     topics += [Topic(name, topic.type, depth=topic.depth) for name, topic in TOPICS.items()]
+    birds = range(1, run.configuration.birds + 1) if odometry else ()
+    odometry_of = {bird: f"{NAMESPACE}/{odometry_topic(bird)}" for bird in birds}
+    topics += [
+        Topic(name, messages.ODOMETRY, depth=ODOMETRY_DEPTH) for name in odometry_of.values()
+    ]
     with BagWriter(
         directory,
         topics,
@@ -110,15 +127,16 @@ def _write(
         compression_level=LEVEL,
         define=copied_definition,
     ) as bag:
-        for frame in _frames(run, m, pictures):
-            messages = [(name, topic.message(frame)) for name, topic in TOPICS.items()]
-            messages.insert(0, (CLOCK_TOPIC, Time.at(frame.stamp).encode()))
-            bag.write_together((name, frame.stamp, data) for name, data in messages)
+        for frame in _frames(run, m, pictures, odometry):
+            told = [(CLOCK_TOPIC, Time.at(frame.stamp).encode())]
+            told += [(name, topic.message(frame)) for name, topic in TOPICS.items()]
+            told += [(odometry_of[bird], frame.odometry(bird)) for bird in frame.birds]
+            bag.write_together((name, frame.stamp, data) for name, data in told)
             shown(1.0)
     return sum(entry.stat().st_size for entry in bag_files(directory))
 
 
-def _frames(run: Run, m: int, pictures: Pictures) -> Iterator[Frame]:
+def _frames(run: Run, m: int, pictures: Pictures, odometry: bool) -> Iterator[Frame]:
     """Yield the pictures of the member with index `m`."""
     configuration = run.configuration
     steps = pictures.steps
@@ -131,5 +149,5 @@ def _frames(run: Run, m: int, pictures: Pictures) -> Iterator[Frame]:
         stamp = divmod(configuration.stamp(state.step), BILLION)
         snapshot = Snapshot.of(configuration, state, configuration.span_ratio, m, stamp)
         before, known = known, snapshot.known.tolist()
-        yield Frame(snapshot, list(trail), anew=known != before)
+        yield Frame(snapshot, list(trail), anew=known != before, odometry=odometry)
         trail.append(snapshot.along)

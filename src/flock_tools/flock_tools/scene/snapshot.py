@@ -15,6 +15,7 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
+from flock_tools.scene.marker import in_metres
 
 FARTHEST = 1e9
 """Largest distance of a bird from the origin that is drawn, in b. Rounding is invisible there."""
@@ -80,6 +81,24 @@ class Snapshot:
     def lateral(self) -> FloatArray:
         """Lateral positions of the birds to the right of the leader, in b."""
         return formation.lateral_positions(self.span_ratio[:, np.newaxis])[:, 0]
+
+    @cached_property
+    def world(self) -> FloatArray:
+        """x, y and z of the birds in the frame in which the air is at rest, in m, (birds, 3)."""
+        level = np.zeros_like(self.lateral)
+        place = np.column_stack([self.state.position, self.lateral, level])
+        return in_metres(place, self.metre) + 0.0  # no -0.0
+
+    @cached_property
+    def world_speed(self) -> FloatArray:
+        """Speeds of the birds, in m/s."""
+        return self.state.speed * self.configuration.min_drag_speed
+
+    @cached_property
+    def finite_birds(self) -> list[int]:
+        """The birds whose position and speed are finite, in SI units too; bird numbers from 1."""
+        finite = np.isfinite(self.world[:, 0]) & np.isfinite(self.world_speed)
+        return [int(i) + 1 for i in np.flatnonzero(finite)]
 
     @cached_property
     def saved(self) -> FloatArray:

@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
+from rclpy.publisher import Publisher
 
 from flock_interfaces.msg import BirdWing
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages.types import State
 from flock_sim.physics.arrays import FloatArray
@@ -19,8 +22,15 @@ from flock_sim.physics.flock_state import FlockState
 from flock_sim.ros.endpoints import latched
 from flock_tools.live.flock_monitor import Sample
 from flock_tools.live.listener import DEPTH, Watcher
-from flock_tools.scene.frame import TOPICS, TRAIL, TRANSFORM_TOPIC, Frame
-from flock_tools.scene.messages import TRANSFORMS
+from flock_tools.scene.frame import (
+    ODOMETRY_DEPTH,
+    TOPICS,
+    TRAIL,
+    TRANSFORM_TOPIC,
+    Frame,
+    odometry_topic,
+)
+from flock_tools.scene.messages import ODOMETRY, TRANSFORMS
 from flock_tools.scene.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -42,8 +52,13 @@ class Viewer(Watcher):
         member: int,
         assumed: FlockConfiguration,
         foxglove: FoxgloveServer | None,
+        odometry: bool = False,
     ) -> None:
-        """Show `member`, from 1. `assumed` is the configuration if no clock gives one."""
+        """Show `member`, from 1. `assumed` is the configuration if no clock gives one.
+
+        With `odometry`, it publishes the Odometry of each bird, too. Raises FlockError if nav_msgs
+        is not installed then.
+        """
         super().__init__(context, "view")
         self._member = member
         self._assumed = assumed
@@ -52,6 +67,9 @@ class Viewer(Watcher):
         self._frame: Frame | None = None
         self._shown: State | None = None
         self._source: object = None
+        self._odometry = _message_class(ODOMETRY) if odometry else None
+        self._birds: dict[int, Publisher] = {}
+        """The publisher of the Odometry of each bird so far."""
         self._outlets = [
             (self.create_publisher(kind, name, topic.depth), topic.message)
             for name, topic in TOPICS.items()
@@ -89,10 +107,21 @@ class Viewer(Watcher):
         for outlet, message in self._outlets:
             if outlet.get_subscription_count():
                 outlet.publish(message(frame))
+        for bird in frame.birds:
+            outlet = self._outlet_of(bird)
+            if outlet.get_subscription_count():
+                outlet.publish(frame.odometry(bird))
         if self._foxglove:
             self._foxglove.tell_time(frame.stamp)
             for name in FOXGLOVE_TYPES:
                 self._foxglove.publish(name, frame.stamp, partial(TOPICS[name].message, frame))
+
+    def _outlet_of(self, bird: int) -> Publisher:
+        """Return the publisher of the Odometry of a bird, which is created at the first call."""
+        if bird not in self._birds:
+            name = odometry_topic(bird)
+            self._birds[bird] = self.create_publisher(self._odometry, name, ODOMETRY_DEPTH)
+        return self._birds[bird]
 
     def _framed(self) -> Frame | None:
         """Return the latest complete step, also if it is unchanged; None if there is none."""
@@ -101,7 +130,7 @@ class Viewer(Watcher):
         flown = self.view.flown or self._assumed
         if before and row and row[0] is self._shown and before.snapshot.configuration is flown:
             if before.anew:  # markers are removed only once
-                self._frame = Frame(before.snapshot, before.trail, anew=False)
+                self._frame = self._frame_of(before.snapshot, before.trail, anew=False)
             return self._frame
         snapshot = self._snapshot()
         if snapshot is None:
@@ -115,8 +144,11 @@ class Viewer(Watcher):
             self._trail.append(before.snapshot.along)
         anew = before is None or before.snapshot.known.tolist() != snapshot.known.tolist()
         self._shown, self._source = row[0], source
-        self._frame = Frame(snapshot, list(self._trail), anew)
+        self._frame = self._frame_of(snapshot, list(self._trail), anew)
         return self._frame
+
+    def _frame_of(self, snapshot: Snapshot, trail: Sequence[FloatArray], anew: bool) -> Frame:
+        return Frame(snapshot, trail, anew, self._odometry is not None)
 
     def _snapshot(self) -> Snapshot | None:
         """Return the latest complete step; None while a bird or a wing is missing."""
@@ -130,11 +162,19 @@ class Viewer(Watcher):
 
 
 def _message_class(name: str) -> Any:
-    """Return the class of the messages of a type; None for tf2_msgs where it is not installed."""
+    """Return the class of the messages of a type; None for tf2_msgs where it is not installed.
+
+    Raises FlockError for nav_msgs, which only --odometry needs, where it is not installed.
+    """
     package, _, kind = name.split("/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)
     except ImportError:
         if name == TRANSFORMS:  # it has no wheel
             return None
+        if name == ODOMETRY:
+            raise FlockError(
+                "--odometry: needs nav_msgs; install it, such as by `sudo apt install "
+                "ros-jazzy-nav-msgs`, or leave --odometry out"
+            ) from None
         raise
