@@ -7,6 +7,7 @@ import json
 import re
 import socket
 import struct
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,9 +27,9 @@ from flock_sim.bag.reading.reader import BagReader
 from flock_sim.errors import FlockError
 from flock_sim.messages.state import FRAME
 from flock_sim.recording.run import Run
+from flock_tools.scene import messages, viewer
 from flock_tools.scene.foxglove_server import FoxgloveServer
 from flock_tools.scene.picture import scene_of
-from flock_tools.scene.viewer import FOXGLOVE_TYPES
 from support.bags import last_step
 from support.terminal import Job, Terminal
 from support.visitor import Visitor
@@ -86,6 +87,9 @@ def test_a_played_flock_is_shown_as_it_was_recorded(terminal: Terminal, visitor:
         heard[name] = []
         visitor.node.create_subscription(kind, f"/flock/view/{name}", heard[name].append, 10)
     visitor.until(lambda: all(heard.values()))
+    known = dict(visitor.node.get_topic_names_and_types())
+    assert "/flock/view/markers" in known
+    assert not any(name.endswith("/odometry") for name in known)
     check_markers(terminal, "bag", heard["markers"][-1], 2)
     image, told = heard["upwash"][-1], heard["transform"][-1]
     stamp = image.header.stamp
@@ -136,6 +140,13 @@ def test_odometry_of_all_birds_of_a_flight_is_heard(terminal: Terminal, visitor:
         assert place.y == pytest.approx(-0.8 * snapshot.lateral[bird - 1])
         assert speed.x == pytest.approx(17.0 * snapshot.state.speed[bird - 1])
     assert told[1].pose.pose.position.y > told[2].pose.pose.position.y == 0.0
+
+
+def test_missing_nav_msgs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nav_msgs.msg", None)
+    with pytest.raises(FlockError, match="--odometry: needs nav_msgs; install it") as raised:
+        viewer._message_class(messages.ODOMETRY)
+    assert raised.value.exit_status == 2
 
 
 def test_states_without_wings_are_refused_and_a_later_start_has_wings(terminal: Terminal) -> None:
@@ -224,10 +235,10 @@ def test_a_flight_is_served_to_a_foxglove_client(terminal: Terminal) -> None:
         assert connection.subprotocol == SUBPROTOCOL
         client = Client(connection)
         assert (client.info["op"], client.info["name"]) == ("serverInfo", "flock view")
-        assert client.channels.keys() == FOXGLOVE_TYPES.keys()
+        assert client.channels.keys() == viewer.FOXGLOVE_TYPES.keys()
         for topic, channel in client.channels.items():
             assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
-            assert channel["schemaName"] == FOXGLOVE_TYPES[topic]
+            assert channel["schemaName"] == viewer.FOXGLOVE_TYPES[topic]
         heard = client.hear(list(client.channels))
     shown = max(stamp for stamp, _ in heard.values())
     flight.until(lambda: recorded_to(terminal.directory / "flown") >= shown)
@@ -261,7 +272,7 @@ def test_a_port_that_is_taken_is_said_at_once() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(FlockError, match="Address already in use; choose another") as raised:
-            FoxgloveServer("127.0.0.1", port, FOXGLOVE_TYPES)
+            FoxgloveServer("127.0.0.1", port, viewer.FOXGLOVE_TYPES)
     assert str(raised.value).startswith(f"--foxglove {port}: can't be served on 127.0.0.1: ")
     assert raised.value.exit_status == 2
 

@@ -40,10 +40,12 @@ def test_a_move_is_the_speed_times_the_time_in_si_units() -> None:
     assert moved == pytest.approx(before.world_speed * 5.0 * before.configuration.second)
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("name", ["position", "speed"])
-def test_a_bird_that_has_diverged_is_left_out(name: str) -> None:
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("name", "huge"), [("position", np.inf), ("speed", np.inf), ("speed", 1e308)]
+)
+def test_a_bird_that_has_diverged_is_left_out(name: str, huge: float) -> None:
     values = getattr(state(), name).copy()
-    values[0], values[3] = np.nan, np.inf
+    values[0], values[3] = np.nan, huge
     assert snapshot().finite_birds == [1, 2, 3, 4, 5]
     assert snapshot(**{name: values}).finite_birds == [2, 3, 5]

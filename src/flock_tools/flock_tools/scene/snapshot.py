@@ -87,12 +87,14 @@ class Snapshot:
         """x, y and z of the birds in the frame in which the air is at rest, in m, (birds, 3)."""
         level = np.zeros_like(self.lateral)
         place = np.column_stack([self.state.position, self.lateral, level])
-        return in_metres(place, self.metre) + 0.0  # no -0.0
+        with np.errstate(over="ignore"):  # of a bird that diverges
+            return in_metres(place, self.metre) + 0.0  # no -0.0
 
     @cached_property
     def world_speed(self) -> FloatArray:
         """Speeds of the birds, in m/s."""
-        return self.state.speed * self.configuration.min_drag_speed
+        with np.errstate(over="ignore"):
+            return self.state.speed * self.configuration.min_drag_speed
 
     @cached_property
     def finite_birds(self) -> list[int]:

@@ -59,6 +59,7 @@ class Viewer(Watcher):
         With `odometry`, it publishes the Odometry of each bird, too. Raises FlockError if nav_msgs
         is not installed then.
         """
+        odometry_type = _message_class(ODOMETRY) if odometry else None
         super().__init__(context, "view")
         self._member = member
         self._assumed = assumed
@@ -67,7 +68,7 @@ class Viewer(Watcher):
         self._frame: Frame | None = None
         self._shown: State | None = None
         self._source: object = None
-        self._odometry = _message_class(ODOMETRY) if odometry else None
+        self._odometry_type = odometry_type
         self._birds: dict[int, Publisher] = {}
         """The publisher of the Odometry of each bird so far."""
         self._outlets = [
@@ -120,7 +121,7 @@ class Viewer(Watcher):
         """Return the publisher of the Odometry of a bird, which is created at the first call."""
         if bird not in self._birds:
             name = odometry_topic(bird)
-            self._birds[bird] = self.create_publisher(self._odometry, name, ODOMETRY_DEPTH)
+            self._birds[bird] = self.create_publisher(self._odometry_type, name, ODOMETRY_DEPTH)
         return self._birds[bird]
 
     def _framed(self) -> Frame | None:
@@ -148,7 +149,7 @@ class Viewer(Watcher):
         return self._frame
 
     def _frame_of(self, snapshot: Snapshot, trail: Sequence[FloatArray], anew: bool) -> Frame:
-        return Frame(snapshot, trail, anew, self._odometry is not None)
+        return Frame(snapshot, trail, anew, self._odometry_type is not None)
 
     def _snapshot(self) -> Snapshot | None:
         """Return the latest complete step; None while a bird or a wing is missing."""
