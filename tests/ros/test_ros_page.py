@@ -32,7 +32,7 @@ def test_the_listener_of_the_page_hears_all_rows(terminal: Terminal) -> None:
     (code,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     script = terminal.directory / "spacing.py"
     script.write_text(code)
-    listener = start_plain(terminal, script)
+    listener = start_plain(terminal, script).until_connected()
     terminal.well("fly", "--birds", 3, "--t-max", 100, "--output", "bag")
     done = listener.wait()
     assert (done.status, done.stderr) == (0, "")

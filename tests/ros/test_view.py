@@ -25,10 +25,10 @@ from websockets.sync.client import ClientConnection, connect
 
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.errors import FlockError
-from flock_sim.messages.state import FRAME
 from flock_sim.recording.run import Run
 from flock_tools.scene import messages, viewer
 from flock_tools.scene.foxglove_server import FoxgloveServer
+from flock_tools.scene.messages import FRAME
 from flock_tools.scene.picture import scene_of
 from support.bags import last_step
 from support.terminal import Job, Terminal

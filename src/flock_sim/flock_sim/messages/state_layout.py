@@ -76,6 +76,18 @@ def layout_of(data: bytes) -> Layout | None:
     return layout if lengths.unpack(data) == expected else None
 
 
+def compact(data: bytes) -> bytes:
+    """Return a state without means as Flock encodes it; any other data as it is.
+
+    Programs that do not compute the means send empty arrays, and their serialisers may add bytes.
+    """
+    try:
+        state = State.decode(data)
+    except ValueError:
+        return data
+    return data if len(state.mean_speed) else state.encode()
+
+
 def members_of(data: bytes) -> int:
     """Return the number of members of a state in Flock's layout; 0 for another layout."""
     layout = layout_of(data)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.messages.state_layout import Layout, layout_of
+from flock_sim.messages.state_layout import Layout, compact, layout_of
 from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time
 from flock_sim.physics.runge_kutta import STAGES
 
@@ -146,8 +146,8 @@ class RowAssembler:
     def add_state(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdState of `bird`; return the rows that are complete with it."""
         layout = layout_of(data)
-        if layout is None:  # other programs may send bytes after the message, or no means
-            data = State.decode(data).encode()
+        if layout is None:
+            data = compact(data)
             layout = layout_of(data)
         if layout is None or layout.members != self._members or not self._fits(layout):
             return self._ignore(MISSHAPEN)
