@@ -21,6 +21,7 @@ from flock_sim.analysis.verdict import (
 )
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation
+from flock_sim.errors import FlockError
 from flock_sim.physics.arrays import BoolArray, FloatArray
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.scaling import Scales
@@ -95,6 +96,11 @@ def _second_half(
     first = min(-(-(start + end) // (2 * every)), end // every)
     steps = [row * every for row in evenly(first, end // every)]
     found = list(flight.snapshots_at(steps))
+    if not found:
+        raise FlockError(
+            f"the bag has no complete state at the times of steps {steps[0]} to {steps[-1]}, so"
+            " there is no verdict: take another copy of the bag"
+        )
     return (
         np.array([state.time for state in found]),
         np.stack([state.position[:, members] for state in found]),

@@ -6,10 +6,12 @@ import struct
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Metadata, MetadataIndex, Schema, Statistics
 
+from flock_sim.bag import limits
 from flock_sim.bag.file_sections import MAGIC
 from flock_sim.bag.records import (
     CHUNK_TIMES,
@@ -32,6 +34,7 @@ _CHUNK_INDEX = struct.Struct("<QQQQI")
 """The beginning of the index of a chunk: start and end time in ns, offset and length in bytes, and
 the size in bytes of the map that follows, from channels to the offsets of their message indexes."""
 _CHANNEL_OFFSET = struct.Struct("<HQ")
+_NUMBER_SIZE = 2  # bytes of the number of a schema or channel, at the beginning of its record
 CRC_SIZE = 4
 """Size of a CRC in the footer and in the record that ends the data, in bytes."""
 
@@ -55,9 +58,25 @@ class Contents:
     loose: bool = False
     whole: int = 0
     missing: str | None = None
+    defined: dict[tuple[int, bytes], bytes] = field(default_factory=dict)  # by opcode and number
+    definitions: int = 0  # records, without equal copies
+    definitions_size: int = 0  # bytes
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Add a schema, channel or metadata record, and ignore others; raises DamagedError."""
+        """Add a schema, channel or metadata record, and ignore others.
+
+        Raises DamagedError, and LimitError if there are too many.
+        """
+        if opcode not in _DEFINING or self._is_copy(opcode, content):
+            return
+        self.definitions += 1
+        self.definitions_size += len(content)
+        limits.check(self.definitions, limits.MOST_DEFINITIONS, "definitions")
+        limits.check(
+            self.definitions_size,
+            limits.DEFINITIONS_SIZE,
+            "bytes of schemas, channels and metadata",
+        )
         if opcode == Opcode.SCHEMA:
             schema: Schema = parse(Schema.read, content)
             self.schemas[schema.id] = schema
@@ -67,6 +86,26 @@ class Contents:
         elif opcode == Opcode.METADATA:
             record: Metadata = parse(Metadata.read, content)
             self.metadata[record.name] = record.metadata
+
+    def _is_copy(self, opcode: int, content: bytes) -> bool:
+        """Whether a schema or channel is the one that has its number already; keep it if not."""
+        if opcode == Opcode.METADATA:
+            return False
+        key = opcode, content[:_NUMBER_SIZE]
+        copy = self.defined.get(key) == content
+        self.defined[key] = content
+        return copy
+
+    def read_definition(self, fd: int, opcode: int, offset: int, length: int) -> None:
+        """Read and add the definition at `offset`; raises DamagedError and LimitError."""
+        if offset + FRAME.size + length <= os.fstat(fd).st_size:
+            limits.check(length, limits.LARGEST_DEFINITION, "bytes in one definition")
+        self.define(opcode, read_content(fd, offset, length))
+
+    def add_chunk(self, place: ChunkPlace) -> None:
+        """Add a chunk; raises LimitError if there are too many."""
+        self.chunks.append(place)
+        limits.check(len(self.chunks), limits.MOST_CHUNKS, "chunks")
 
     def meet(self, time: int) -> None:
         """Extend the range of log times to `time`, in ns."""
@@ -92,27 +131,31 @@ def summarised(fd: int) -> Contents | None:
         return None
     if footer.summary_start > end:
         raise DamagedError("it begins after its end")
-    block = os.pread(fd, end + _FOOTER_SIZE - footer.summary_start, footer.summary_start)
+    size = end - footer.summary_start
+    if size > limits.LARGEST_SUMMARY:
+        raise DamagedError(f"it has {limits.beyond(size, limits.LARGEST_SUMMARY, 'bytes')}")
+    summary = os.pread(fd, size, footer.summary_start)
     # The CRC covers the summary and the footer up to the CRC itself, its last field.
-    if footer.summary_crc and zlib.crc32(block[:-CRC_SIZE]) != footer.summary_crc:
+    signed = os.pread(fd, _FOOTER_SIZE - CRC_SIZE, end)
+    if footer.summary_crc and zlib.crc32(signed, zlib.crc32(summary)) != footer.summary_crc:
         raise DamagedError("its CRC does not match")
 
     contents = Contents(whole=footer.summary_start)
     statistics: Statistics | None = None
     metadata_count = 0  # several records may have one name
-    sets: dict[tuple[bytes, bytes], frozenset[int]] = {}
-    for opcode, content in records_in(block[:-_FOOTER_SIZE]):
+    sets = _ChannelSets()
+    for opcode, content in records_in(summary):
         contents.define(opcode, content)
         if opcode == Opcode.STATISTICS:
             statistics = parse(Statistics.read, content)
         elif opcode == Opcode.CHUNK_INDEX:
-            contents.chunks.append(_indexed_chunk(content, sets))
+            contents.add_chunk(_indexed_chunk(content, sets))
         elif opcode == Opcode.METADATA_INDEX:
             index: MetadataIndex = parse(MetadataIndex.read, content)
             frame = read_frame(fd, index.offset)
             if frame is None or frame[0] != Opcode.METADATA:
                 raise DamagedError(f"there is no metadata at byte {index.offset}")
-            contents.define(frame[0], read_content(fd, index.offset, frame[1]))
+            contents.read_definition(fd, frame[0], index.offset, frame[1])
             metadata_count += 1
 
     if (
@@ -123,6 +166,9 @@ def summarised(fd: int) -> Contents | None:
     ):
         return None
     contents.chunks.sort()  # by offset: the order of the file
+    for place, following in pairwise(contents.chunks):
+        if place.offset + place.length > following.offset:
+            raise DamagedError(f"its chunk at byte {following.offset} begins within another one")
     contents.counts = statistics.channel_message_counts
     contents.loose = statistics.message_count > 0 and not contents.chunks
     if statistics.message_count:
@@ -131,24 +177,36 @@ def summarised(fd: int) -> Contents | None:
     return contents
 
 
-def _indexed_chunk(content: bytes, sets: dict[tuple[bytes, bytes], frozenset[int]]) -> ChunkPlace:
-    """Return the place of a chunk from its index, without the slower `parse`; raises DamagedError.
+class _ChannelSets:
+    """The sets of channels of chunks; most chunks have the same ones."""
 
-    `sets` has the sets of channels of the chunks before, by the low and high bytes of the channels:
-    most chunks have the same ones.
-    """
+    def __init__(self) -> None:
+        # By the low and high bytes of the channels, which is faster than to unpack them.
+        self._sets: dict[tuple[bytes, bytes], frozenset[int]] = {}
+        self._room = limits.MOST_INDEXED
+
+    def of(self, offsets: bytes) -> frozenset[int]:
+        """Return the channels in the index of a chunk; empty, as if unknown, without room."""
+        key = offsets[:: _CHANNEL_OFFSET.size], offsets[1 :: _CHANNEL_OFFSET.size]
+        channels = self._sets.get(key)
+        if channels is None:
+            self._room -= len(key[0])
+            if self._room < 0:
+                return frozenset()
+            channels = frozenset(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(offsets))
+            self._sets[key] = channels
+        return channels
+
+
+def _indexed_chunk(content: bytes, sets: _ChannelSets) -> ChunkPlace:
+    """Return the place of a chunk from its index, faster than `parse`; raises DamagedError."""
     if len(content) < _CHUNK_INDEX.size:
         raise DamagedError("the index of a chunk is cut short")
     start, end, offset, length, size = _CHUNK_INDEX.unpack_from(content)
     offsets = content[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]
     if len(offsets) < size or size % _CHANNEL_OFFSET.size:
         raise DamagedError("the channels in the index of a chunk are cut short")
-    key = offsets[:: _CHANNEL_OFFSET.size], offsets[1 :: _CHANNEL_OFFSET.size]
-    channels = sets.get(key)
-    if channels is None:
-        channels = frozenset(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(offsets))
-        sets[key] = channels
-    return ChunkPlace(offset, length, start, end, channels)
+    return ChunkPlace(offset, length, start, end, sets.of(offsets))
 
 
 def scanned(fd: int) -> Contents:
@@ -193,11 +251,11 @@ def _walk(fd: int, size: int, contents: Contents) -> int:
             if opcode == Opcode.DATA_END:
                 return offset
             if opcode in _DEFINING:
-                contents.define(opcode, read_content(fd, offset, length))
+                contents.read_definition(fd, opcode, offset, length)
             elif opcode == Opcode.CHUNK and length >= CHUNK_TIMES.size:
                 start, end = CHUNK_TIMES.unpack(read_content(fd, offset, CHUNK_TIMES.size))
                 place = ChunkPlace(offset, FRAME.size + length, start, end, frozenset())
-                contents.chunks.append(place)
+                contents.add_chunk(place)
             elif opcode == Opcode.MESSAGE_INDEX and contents.chunks:
                 channel = read_content(fd, offset, min(length, 2))
                 indexed.add(int.from_bytes(channel, "little"))

@@ -14,6 +14,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 
+from flock_sim.bag import limits
+
 FRAME = struct.Struct("<BQ")  # opcode, length of the record that follows
 
 MESSAGE_OPCODE = int(Opcode.MESSAGE)
@@ -31,6 +33,8 @@ COMPRESSION_AT = FRAME.size + _CHUNK_HEAD.size - 4
 """Offset of the compression field in a chunk, in bytes from its frame on."""
 
 CRC_BLOCK = 1 << 20  # bytes that `crc_of` reads at once
+
+_LAST_OFFSET = 1 << 62  # bytes; os.pread refuses offsets near 2^63
 
 Record = TypeVar("Record")
 
@@ -69,7 +73,7 @@ def parse(read: Callable[[ReadDataStream], Record], content: bytes) -> Record:
 
 def read_frame(fd: int, offset: int) -> tuple[int, int] | None:
     """Read opcode and content length of the frame at `offset`; None if the file ends there."""
-    head = os.pread(fd, FRAME.size, offset)
+    head = os.pread(fd, FRAME.size, offset) if offset <= _LAST_OFFSET else b""
     if len(head) < FRAME.size:
         return None
     opcode, length = FRAME.unpack(head)
@@ -78,11 +82,15 @@ def read_frame(fd: int, offset: int) -> tuple[int, int] | None:
 
 
 def read_content(fd: int, offset: int, length: int) -> bytes:
-    """Read the content of the frame at `offset`; raises DamagedError if the file is cut short."""
+    """Read the content of the frame at `offset`.
+
+    Raises DamagedError if the file is cut short, or the content is longer than a chunk may be.
+    """
     # A damaged length must not cause an allocation of the size that it states.
     missing = offset + FRAME.size + length - os.fstat(fd).st_size
     if missing > 0:
         raise DamagedError(f"{missing} of {length} bytes are missing")
+    _check_size(length)
     return os.pread(fd, length, offset + FRAME.size)
 
 
@@ -112,12 +120,12 @@ def read_cut_chunk(fd: int, offset: int) -> bytes:
     there = os.fstat(fd).st_size - offset - FRAME.size
     if frame is None or frame[0] != Opcode.CHUNK or frame[1] <= there:
         return b""
-    content = os.pread(fd, there, offset + FRAME.size)
+    content = os.pread(fd, min(there, limits.LARGEST_CHUNK), offset + FRAME.size)
     try:
         head = _chunk_head(content)
     except DamagedError:
         return b""
-    if head.data_at + head.length <= len(content):
+    if head.data_at + head.length <= len(content) or head.size > limits.LARGEST_CHUNK:
         return b""  # its data is all there: the length of its frame is damaged
     return _whole_records(_decompress_start(content[head.data_at :], head))
 
@@ -170,7 +178,13 @@ def _whole_records(body: bytes) -> bytes:
     return body[:end]
 
 
+def _check_size(size: int, what: str = "bytes") -> None:
+    if size > limits.LARGEST_CHUNK:
+        raise DamagedError(f"it has {limits.beyond(size, limits.LARGEST_CHUNK, what)}")
+
+
 def _decompress(data: bytes, compression: str, size: int) -> bytes:
+    _check_size(size, "unpacked bytes")
     try:
         if compression == "zstd":
             # A damaged frame must not cause an allocation of the size that it states.
@@ -178,7 +192,7 @@ def _decompress(data: bytes, compression: str, size: int) -> bytes:
                 raise DamagedError("its size does not fit")
             body = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         elif compression == "lz4":
-            body = lz4.frame.decompress(data)
+            body = _decompress_lz4(data, size)
         elif compression == "":
             body = data
         else:
@@ -187,6 +201,15 @@ def _decompress(data: bytes, compression: str, size: int) -> bytes:
         raise DamagedError(f"it does not decompress: {error}") from error
     if len(body) != size:
         raise DamagedError("its size does not fit")
+    return body
+
+
+def _decompress_lz4(data: bytes, size: int) -> bytes:
+    """Return what a frame gives, at most one byte more than `size`."""
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    body: bytes = decompressor.decompress(data, size + 1)
+    if len(body) <= size and not decompressor.eof:
+        raise DamagedError("it does not decompress: its end is missing")
     return body
 
 

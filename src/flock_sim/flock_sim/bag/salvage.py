@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
+from flock_sim.bag import limits
 from flock_sim.bag.records import (
+    CHUNK_TIMES,
     COMPRESSION_AT,
     COMPRESSIONS,
     FRAME,
@@ -19,6 +21,7 @@ from flock_sim.bag.records import (
 )
 
 _BLOCK = 1 << 20  # bytes searched at once
+_SIZE_AT = FRAME.size + CHUNK_TIMES.size  # of the unpacked size, in bytes from a chunk's frame on
 _END_LENGTH = 4  # bytes of the record that ends the data
 _IN_DATA = frozenset(
     (
@@ -41,9 +44,11 @@ def sound_chunks(fd: int, offset: int) -> Iterator[SoundChunk]:
 
     The lengths of records lead from one to the next. If a length is wrong, the next chunk is
     searched for. A torn record at the end of the file counts as damage, since the two can't be
-    distinguished. Memory: one chunk. Raises OSError if the file can't be read.
+    distinguished. Memory: one chunk. Raises OSError if the file can't be read, and LimitError if
+    the search takes too long.
     """
     size = os.fstat(fd).st_size
+    search = _Search(fd, size)
     known = offset  # all sound chunks before it were yielded
     damage: int | None = None
     while offset < size:
@@ -61,7 +66,7 @@ def sound_chunks(fd: int, offset: int) -> Iterator[SoundChunk]:
         else:
             damage = offset
             # Not from here: the length that led here may be damaged.
-            offset = _next_chunk(fd, known, size)
+            offset = search.next_chunk(known)
     if damage is not None:
         yield SoundChunk(size, b"", damage)
 
@@ -93,27 +98,50 @@ def _end(fd: int, offset: int) -> int:
     return data_at + int.from_bytes(os.pread(fd, 8, data_at - 8), "little")
 
 
-def _next_chunk(fd: int, offset: int, size: int) -> int:
-    """Return the beginning of the next sound chunk from `offset` on; `size` if there is none.
+class _Search:
+    """The search for the next sound chunk behind damage, of limited work for the whole file."""
 
-    The search looks for the name of the compression, which has the same offset in all chunks.
-    """
-    overlap = COMPRESSION_AT + max(map(len, COMPRESSIONS))
-    while offset < size:
-        block = os.pread(fd, _BLOCK + overlap, offset)
-        places = sorted(
-            place
-            for name in COMPRESSIONS
-            for place in _places(block, name)
-            if place >= COMPRESSION_AT and block[place - COMPRESSION_AT] == Opcode.CHUNK
-        )
-        for place in places:
-            start = offset + place - COMPRESSION_AT
-            frame = read_frame(fd, start)
-            if frame and _body(fd, start, start + FRAME.size + frame[1]) is not None:
-                return start
-        offset += _BLOCK
-    return size
+    def __init__(self, fd: int, size: int) -> None:
+        self._fd = fd
+        self._size = size
+        self._unpacked = 0  # bytes, of chunks that turned out to be damaged
+        self._most = max(limits.SEARCHED_SIZE, limits.SEARCHED_RATIO * size)
+
+    def next_chunk(self, offset: int) -> int:
+        """Return the beginning of the next sound chunk from `offset` on; the file's end if none is.
+
+        The search looks for the name of the compression, which has the same offset in all chunks.
+        Raises LimitError.
+        """
+        overlap = COMPRESSION_AT + max(map(len, COMPRESSIONS))
+        while offset < self._size:
+            block = os.pread(self._fd, _BLOCK + overlap, offset)
+            places = sorted(
+                place
+                for name in COMPRESSIONS
+                for place in _places(block, name)
+                if place >= COMPRESSION_AT and block[place - COMPRESSION_AT] == Opcode.CHUNK
+            )
+            for place in places:
+                start = offset + place - COMPRESSION_AT
+                if self._is_sound(start):
+                    return start
+            offset += _BLOCK
+        return self._size
+
+    def _is_sound(self, start: int) -> bool:
+        frame = read_frame(self._fd, start)
+        if frame is None:
+            return False
+        after = start + FRAME.size + frame[1]
+        if _body(self._fd, start, after) is not None:
+            return True
+        if _end(self._fd, start) == after <= self._size:
+            unpacked = int.from_bytes(os.pread(self._fd, 8, start + _SIZE_AT), "little")
+            self._unpacked += frame[1] + min(unpacked, limits.LARGEST_CHUNK)
+            what = "bytes of damaged chunks that overlap"
+            limits.check(self._unpacked, self._most, what)
+        return False
 
 
 def _places(block: bytes, name: bytes) -> Iterator[int]:

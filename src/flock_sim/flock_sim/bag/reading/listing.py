@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The list of a bag's files, from its metadata.yaml, or from its directory without one."""
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,17 +10,17 @@ from typing import Any
 
 import yaml
 
+from flock_sim.bag import limits
 from flock_sim.bag.directory import METADATA_FILE, is_recording
 from flock_sim.bag.reading.compression import FORMAT
 from flock_sim.bag.reading.other_formats import SQLITE, conversion, format_of_name
+from flock_sim.bag.reading.yaml_tree import yaml_tree
 from flock_sim.errors import FlockError
 
 # The list of topics: for hundreds of topics its parsing takes seconds, and the files have it too.
 _TOPICS = re.compile(r"^( +)topics_with_message_count:.*\n(?:\1[ -].*\n|[ \t]*\n)*", re.MULTILINE)
 
 _INFORMATION = "rosbag2_bagfile_information"
-_DEEPEST = 32
-"""Deepest nesting of lists and mappings; rosbag2 nests six."""
 
 
 @dataclass(frozen=True)
@@ -41,29 +42,36 @@ def listing(path: Path) -> Listing:
     try:
         if not path.is_dir():
             return _single(path)
-        entries = sorted(path.iterdir())
+        entries = os.listdir(path)  # names: a directory may have millions of other files
     except OSError as error:
         raise FlockError(f"{path} can't be read: {error.strerror}") from error
-    found = [entry for entry in entries if is_recording(_plain(entry.name))]
-    names = {file.name for file in found}
-    found = [
-        file for file in found if file.name == _plain(file.name) or _plain(file.name) not in names
-    ]
+    names = {name for name in entries if is_recording(_plain(name))}
+    if len(names) > limits.MOST_FILES:
+        what = limits.beyond(len(names), limits.MOST_FILES, "files of bags")
+        raise FlockError(f"{path} has {what}: name a directory with one bag")
+    chosen = sorted(name for name in names if name == _plain(name) or _plain(name) not in names)
+    found = [path / name for name in chosen]
     if not found:
         why = "there is no .mcap file in it"
-        others = [entry for entry in entries if format_of_name(_plain(entry.name))]
-        if others and (what := format_of_name(_plain(others[0].name))):
+        other = min((name for name in entries if format_of_name(_plain(name))), default="")
+        if form := format_of_name(_plain(other)):
             # Of ROS 1, each file is a bag.
-            bag = path if what == SQLITE else others[0]
-            why = f"it has {what} ({others[0].name}): {conversion(what, bag)}"
+            bag = path if form == SQLITE else path / other
+            why = f"it has {form} ({other}): {conversion(form, bag)}"
         raise FlockError(f"{path} is not a bag that can be read: {why}")
     if not (path / METADATA_FILE).exists():
         missing = f"no {METADATA_FILE} (the recording was cut short)"
         return Listing(_in_order(found), missing=(missing,))
     information = _information(path)
     if information is None:
-        return Listing(_in_order(found), missing=(f"{METADATA_FILE} can't be read",))
+        return Listing(_in_order(found), missing=(_why_unreadable(path / METADATA_FILE),))
     return _listed(path, information, found)
+
+
+def _why_unreadable(file: Path) -> str:
+    if file.stat().st_size > (limit := limits.LARGEST_METADATA_FILE):
+        return f"{file.name} has more than {limit} bytes, the limit"
+    return f"{file.name} can't be read"
 
 
 def packed_as_recorded(path: Path, record: Mapping[str, str]) -> bool:
@@ -86,7 +94,11 @@ def _listed(path: Path, information: Mapping[str, Any], found: list[Path]) -> Li
     by_name = {file.name: file for file in found}
     files: list[Path] = []
     missing: list[str] = []
-    for name in _names(information):
+    names = _names(information)
+    if len(names) > limits.MOST_FILES:
+        what = limits.beyond(len(names), limits.MOST_FILES, "files")
+        missing.append(f"{METADATA_FILE} lists {what}")
+    for name in names[: limits.MOST_FILES]:
         # An unpacked copy of the file serves as well.
         file = by_name.get(name) or by_name.get(_plain(name))
         if file is None:
@@ -104,44 +116,23 @@ def _listed(path: Path, information: Mapping[str, Any], found: list[Path]) -> Li
 def _information(directory: Path) -> Mapping[str, Any] | None:
     """Return the content of metadata.yaml except its topics; None if it can't be read."""
     try:
-        return _parsed((directory / METADATA_FILE).read_text(encoding="utf-8"))
+        with limits.open_file(directory / METADATA_FILE) as file:
+            content = file.read(limits.LARGEST_METADATA_FILE + 1)
+        return _parsed(content.decode())
     except (OSError, ValueError):
         return None
 
 
 def _parsed(text: str) -> Mapping[str, Any] | None:
     """Return the content of a metadata.yaml, with all values as texts; None if it is invalid."""
+    if len(text) > limits.LARGEST_METADATA_FILE:
+        return None
     try:
-        document = _tree(_TOPICS.sub("", text))
+        document = yaml_tree(_TOPICS.sub("", text))
     except (ValueError, yaml.YAMLError):
         return None
     information = document.get(_INFORMATION) if isinstance(document, dict) else None
     return information if isinstance(information, dict) else None
-
-
-def _tree(text: str) -> Any:
-    """Return a YAML document as lists, mappings and texts. Raises ValueError, yaml.YAMLError.
-
-    It is built from YAML events, since libyaml's loader recurses until the process crashes.
-    """
-    open_ones: list[list[Any]] = [[]]
-    for event in yaml.parse(text, Loader=yaml.CBaseLoader):
-        if isinstance(event, yaml.CollectionStartEvent):
-            open_ones.append([])
-            if len(open_ones) > _DEEPEST:
-                raise ValueError("it is nested too deeply")
-        elif isinstance(event, yaml.ScalarEvent):
-            open_ones[-1].append(event.value)
-        elif isinstance(event, yaml.AliasEvent):
-            open_ones[-1].append(None)  # no needed value is an alias
-        elif isinstance(event, yaml.SequenceEndEvent):
-            items = open_ones.pop()
-            open_ones[-1].append(items)
-        elif isinstance(event, yaml.MappingEndEvent):
-            items = open_ones.pop()
-            pairs = zip(items[::2], items[1::2], strict=True)
-            open_ones[-1].append({key: value for key, value in pairs if isinstance(key, str)})
-    return open_ones[0][0] if open_ones[0] else None
 
 
 def _names(information: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -10,6 +11,7 @@ from typing import IO, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
+from flock_sim.bag import limits
 from flock_sim.bag.file_sections import MAGIC
 from flock_sim.bag.index import CRC_SIZE, Contents, has_end, scanned, summarised
 from flock_sim.bag.reading.compression import ZSTD_MAGIC, unpacked_file
@@ -61,13 +63,13 @@ class McapFile:
         self.path = path
         try:
             # It is read by os.pread. A Python file object closes it after its last use.
-            file = path.open("rb", buffering=0)
-            self._file: IO[bytes] = file
-            magic = os.pread(self._file.fileno(), len(MAGIC), 0)
+            file = limits.open_file(path)
+            magic = os.pread(file.fileno(), len(MAGIC), 0)
         except FileNotFoundError as error:
             raise FlockError(f"there is no bag {path}: name a bag directory") from error
         except OSError as error:
             raise FlockError(f"{path} can't be read: {error.strerror}") from error
+        self._file: IO[bytes] = file
         packed = None
         if magic.startswith(ZSTD_MAGIC):
             with file:
@@ -84,6 +86,9 @@ class McapFile:
         except OSError as error:
             self.close()
             raise FlockError(f"{path} can't be read: {error.strerror}") from error
+        except limits.LimitError as error:
+            self.close()
+            raise FlockError(f"{path} {error}: take another copy of the bag") from error
         self._chunks = contents.chunks
         self._loose = contents.loose
         self._end = contents.whole
@@ -165,6 +170,8 @@ class McapFile:
             yield from self._salvaged_loose(broken) if self._loose else self._salvaged(broken, cut)
         except OSError as error:
             raise FlockError(f"{self.path} can't be read: {error.strerror}") from error
+        except limits.LimitError as error:
+            raise FlockError(f"{self.path} {error}: take another copy of the bag") from error
 
     def _salvaged(self, broken: list[str], cut: list[str] | None) -> Iterator[Recorded]:
         fd = self._file.fileno()
@@ -173,14 +180,19 @@ class McapFile:
             torn = chunk.damage is not None and not (chunk.body or has_end(fd))
             if chunk.damage is not None and not torn:
                 broken.append(f"{self.path} is damaged at byte {chunk.damage}")
-            yield from messages_in(chunk.body, self._topic_of, 0, _FOREVER)
+            try:
+                yield from messages_in(chunk.body, self._topic_of, 0, _FOREVER)
+            except DamagedError:  # its CRC, if any, is that of damaged records
+                broken.append(f"{self.path} is damaged at byte {chunk.offset}")
             if torn and chunk.damage is not None and cut is not None:
                 yield from self._salvaged_cut(chunk.damage, cut)
 
     def _salvaged_cut(self, offset: int, cut: list[str]) -> Iterator[Recorded]:
         """Salvage the chunk at byte `offset`, which the end of the file cuts."""
         body = read_cut_chunk(self._file.fileno(), offset)
-        found = list(messages_in(body, self._topic_of, 0, _FOREVER))
+        found: list[Recorded] = []
+        with suppress(DamagedError):
+            found.extend(messages_in(body, self._topic_of, 0, _FOREVER))
         if found:
             cut.append(
                 f"among them are the {len(found)} whole messages at the beginning of the chunk at"

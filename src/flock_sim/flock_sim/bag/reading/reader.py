@@ -8,14 +8,17 @@ from types import TracebackType
 
 from mcap.records import Channel
 
+from flock_sim.bag.limits import LimitError
 from flock_sim.bag.reading.compression import unpacked_message
 from flock_sim.bag.reading.listing import listing, packed_as_recorded
 from flock_sim.bag.reading.mcap_file import McapFile, Part, Recorded, Stream
-from flock_sim.bag.reading.time_order import in_time_order, latest
+from flock_sim.bag.reading.time_order import KeptSize, in_time_order, latest
 from flock_sim.bag.records import DamagedError
 from flock_sim.errors import FlockError
 
 __all__ = ["BagReader", "Recorded", "Stream"]
+
+_SMALLER = "read fewer topics, or take another copy of the bag"
 
 
 class BagReader:
@@ -101,7 +104,7 @@ class BagReader:
         Messages with equal times keep the order of the bag. Memory: the chunks that overlap in
         time.
         """
-        messages = in_time_order(lambda: self._parts(streams, start, end))
+        messages = self._bounded(in_time_order(lambda: self._parts(streams, start, end)))
         return self._unpacked(messages) if self._packed else messages
 
     def latest(self, wanted: Mapping[Stream, int], end: int) -> list[Recorded]:
@@ -113,8 +116,13 @@ class BagReader:
         many: dict[str, int] = {}
         for stream, count in wanted.items():
             many[stream.topic] = max(count, many.get(stream.topic, 0))
-        messages = latest(self._parts(wanted, None, end), many)
-        return list(self._unpacked(iter(messages))) if self._packed else messages
+        try:
+            messages = latest(self._parts(wanted, None, end), many)
+            return self._unpacked_list(messages) if self._packed else messages
+        except LimitError as error:
+            raise FlockError(f"{self.path} {error}: {_SMALLER}") from error
+        except DamagedError as error:
+            raise self._damaged(error) from error
 
     def _parts(
         self, streams: Collection[Stream], start: int | None, end: int | None
@@ -129,9 +137,26 @@ class BagReader:
             for topic, time, data in messages:
                 yield topic, time, unpacked_message(data)
         except DamagedError as error:
-            raise FlockError(
-                f"{self.path} is damaged ({error}): take another copy of the bag"
-            ) from error
+            raise self._damaged(error) from error
+
+    def _unpacked_list(self, messages: list[Recorded]) -> list[Recorded]:
+        """Decompress messages that are kept together. Raises DamagedError and LimitError."""
+        kept = KeptSize()
+        unpacked: list[Recorded] = []
+        for topic, time, data in messages:
+            unpacked.append((topic, time, unpacked_message(data)))
+            kept.add(unpacked[-1])
+        return unpacked
+
+    def _damaged(self, error: DamagedError) -> FlockError:
+        return FlockError(f"{self.path} is damaged ({error}): take another copy of the bag")
+
+    def _bounded(self, messages: Iterator[Recorded]) -> Iterator[Recorded]:
+        """Yield messages; raises FlockError, with the path, where they exceed a limit."""
+        try:
+            yield from messages
+        except LimitError as error:
+            raise FlockError(f"{self.path} {error}: {_SMALLER}") from error
 
     def salvage(self, broken: list[str], cut: list[str] | None = None) -> Iterator[Recorded]:
         """Yield messages as `messages` does, of all chunks with a correct CRC, also after damage.

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The limits within which bags are read, whatever their files state.
+
+They are far above those of genuine bags: a bag of 100 GB with a million chunks is within them.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from io import FileIO
+from pathlib import Path
+
+from flock_sim.errors import FlockError
+
+MIB, GIB = 2**20, 2**30
+
+LARGEST_CHUNK = GIB
+"""Largest size of a chunk, packed or unpacked, in bytes; writers end one after some MB."""
+
+LARGEST_MESSAGE = GIB
+"""Largest size of a message outside of chunks, and of an unpacked one, in bytes."""
+
+LARGEST_SUMMARY = 2 * 10**9
+"""Largest summary, in bytes; 2 * 10^9 is 10^6 chunks with 190 topics each. os.pread reads at most
+2^31 - 4096 bytes."""
+
+LARGEST_DEFINITION = 128 * MIB
+"""Largest schema, channel or metadata record, in bytes. The span ratios of 501 birds in 10^4
+members have 25 MB."""
+
+DEFINITIONS_SIZE = 256 * MIB
+"""Largest size of all these records of a file, in bytes. Equal copies count once."""
+
+MOST_DEFINITIONS = 2**18
+"""Largest number of these records in a file. MCAP has 2^16 numbers for channels, and for schemas.
+"""
+
+MOST_CHUNKS = 4_000_000
+"""Largest number of chunks in a file; each takes some 200 bytes of memory."""
+
+MOST_INDEXED = 10**7
+"""Largest number of channels in the remembered sets of channels of chunks."""
+
+MOST_FILES = 10_000
+"""Largest number of files in a bag."""
+
+LARGEST_METADATA_FILE = 16 * MIB
+"""Largest metadata.yaml, and largest copy of it in a file of rosbag2, in bytes."""
+
+LARGEST_PROFILES = MIB
+"""Largest text of the QoS profiles of a channel, in bytes: those of 2000 publishers."""
+
+DEEPEST = 32
+"""Deepest nesting of lists and mappings in YAML; rosbag2 nests six."""
+
+OVERLAP = 2 * GIB
+"""Largest size of messages that are kept while they are ordered by time, in bytes."""
+
+MESSAGE_COST = 256
+"""Size that is added for each of these messages, in bytes: that of its Python objects."""
+
+UNPACKED_SIZE, UNPACKED_RATIO = GIB, 1000
+"""A file that rosbag2 compressed may unpack to this size in bytes, and a larger one to so many
+times its size."""
+
+SEARCHED_SIZE, SEARCHED_RATIO = 4 * GIB, 16
+"""Size in bytes of damaged chunks that are unpacked in a search for the next sound one. In a larger
+file it is so many times the size of the file."""
+
+
+class LimitError(FlockError):
+    """A file exceeds a limit; the text follows the name of the file."""
+
+
+def check(value: int, limit: int, what: str) -> None:
+    """Raise LimitError if `value`, a number of `what`, is above `limit`."""
+    if value > limit:
+        raise LimitError(f"has {beyond(value, limit, what)}")
+
+
+def beyond(value: int, limit: int, what: str) -> str:
+    """Return the words on a number of `what` that is above its limit."""
+    return f"{value} {what}, more than the limit of {limit}"
+
+
+def open_file(path: Path) -> FileIO:
+    """Open a regular file for reading. Raises OSError, also for a pipe, a device or a socket."""
+    try:
+        # Without O_NONBLOCK, the call waits for a writer if the file is a named pipe.
+        file = FileIO(path, opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+    except ValueError as error:  # a null character in the name, or a surrogate
+        raise OSError(0, f"its name is invalid ({error})") from error
+    kind = os.fstat(file.fileno()).st_mode
+    if not stat.S_ISREG(kind):
+        file.close()
+        raise OSError(0, "it is a directory" if stat.S_ISDIR(kind) else "it is not a regular file")
+    return file
