@@ -19,6 +19,7 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from flock_sim.console.signals import Stop
+from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.types import Time
@@ -75,8 +76,7 @@ class Player(FlockNode):
         for name in own_birds:
             announce(self, name)
         self._outlets: dict[str, Publisher] = {
-            name: self.create_publisher(topic.type, name, topic.qos)
-            for name, topic in playable.items()
+            name: self._outlet(name, topic) for name, topic in playable.items()
         }
         if clock:
             self._outlets[topics.CLOCK_TOPIC] = self.create_publisher(Clock, topics.CLOCK_TOPIC, 1)
@@ -87,6 +87,15 @@ class Player(FlockNode):
         }
         self._unheard: Counter[str] = Counter()
         self._made = time.monotonic()
+
+    def _outlet(self, name: str, topic: Playable) -> Publisher:
+        """Create a publisher; raises FlockError if the node has the topic with another type."""
+        try:
+            return self.create_publisher(topic.type, name, topic.qos)
+        except rclpy_implementation.RCLError as error:
+            raise FlockError(
+                f"{name} can't be published: {error}; leave it out by --exclude-topics {name}"
+            ) from error
 
     def say(self, topic: str, data: bytes) -> None:
         """Publish recorded bytes. Raises NotPublishable if they do not fit the topic."""

@@ -13,7 +13,9 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from flock_sim.bag import limits
 from flock_sim.bag.reading.reader import BagReader, Recorded, Stream
+from flock_sim.bag.reading.yaml_tree import yaml_tree
 from flock_sim.errors import FlockError, nearest
 from flock_tools.playback.message_types import installed_hash, message_class
 
@@ -22,10 +24,13 @@ DEFAULT_DEPTH = 10
 DEEPEST = 100_000
 """Largest queue depth that is offered, in messages."""
 
+MOST_TOPICS = 10_000
+"""Largest number of topics that are played: each has a publisher."""
+
 NUMBERS = {
-    "history": {1: "keep_last", 2: "keep_all"},
-    "reliability": {1: "reliable", 2: "best_effort"},
-    "durability": {1: "transient_local", 2: "volatile"},
+    "history": {"1": "keep_last", "2": "keep_all"},
+    "reliability": {"1": "reliable", "2": "best_effort"},
+    "durability": {"1": "transient_local", "2": "volatile"},
 }
 """The numbers in bags of ROS 2 before Jazzy, and the words that Jazzy writes instead."""
 
@@ -33,6 +38,10 @@ HISTORY = {"keep_all": HistoryPolicy.KEEP_ALL}
 RELIABILITY = {"best_effort": ReliabilityPolicy.BEST_EFFORT}
 DURABILITY = {"transient_local": DurabilityPolicy.TRANSIENT_LOCAL}
 """Policies that are not the default."""
+
+
+OWN_TYPES = {"/parameter_events": "rcl_interfaces/msg/ParameterEvent"}
+"""The topics of every node, on which its player can't publish messages of another type."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +121,9 @@ def select(bag: BagReader, wishes: Wishes = EVERYTHING) -> Selection:
             found.setdefault(played_as(stream.topic), []).append(stream)
     if wishes.only:
         found = {name: found[name] for name in map(played_as, only) if name in found}
+    if len(found) > MOST_TOPICS:
+        what = limits.beyond(len(found), MOST_TOPICS, "topics")
+        raise FlockError(f"{bag.path} has {what}: choose some by --topics")
     topics: dict[str, Playable] = {}
     skipped = {name: reason for name, reason in wishes.reserved.items() if name in found}
     notes: list[str] = []
@@ -173,9 +185,11 @@ def recorded_profiles(text: str) -> list[QoSProfile]:
 
     Deadline, lifespan and liveliness are left out. A text that can't be read has no profiles.
     """
+    if len(text) > limits.LARGEST_PROFILES:
+        return []
     try:
-        return [_profile(entry) for entry in yaml.safe_load(text) or ()]
-    except (yaml.YAMLError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError):
+        return [_profile(entry) for entry in yaml_tree(text) or ()]
+    except (yaml.YAMLError, TypeError, AttributeError, ValueError):
         return []
 
 
@@ -192,8 +206,8 @@ def merged(profiles: Sequence[QoSProfile]) -> QoSProfile:
 
 def _profile(entry: Mapping[str, Any]) -> QoSProfile:
     def word(key: str) -> str:
-        said = entry.get(key)
-        return str(NUMBERS[key].get(said, said) if isinstance(said, int) else said)
+        said = str(entry.get(key))
+        return NUMBERS[key].get(said, said)
 
     history, reliability, durability = word("history"), word("reliability"), word("durability")
     return QoSProfile(
@@ -245,6 +259,8 @@ def _class_of(bag: BagReader, name: str, stream: Stream) -> Any:
         raise ValueError("ROS 2 does not allow its name") from error
     if not stream.type:
         raise ValueError("it has no schema, so the type of its messages is unknown")
+    if stream.type != (own := OWN_TYPES.get(name, stream.type)):
+        raise ValueError(f"its type {stream.type} is not {own}, which each node publishes there")
     kind = message_class(stream.type)
     _check_definition(stream, [channel.metadata for channel in bag.streams[stream]])
     return kind
