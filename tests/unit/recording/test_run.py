@@ -249,3 +249,12 @@ def test_few_of_many_rows_are_found_one_by_one(
         apart = [state.position for state in run.snapshots_at([0, 7, 300, 600])]
     assert len(apart) == 4
     np.testing.assert_array_equal(apart, together)
+
+
+def test_a_state_at_an_impossible_step_is_refused(tmp_path: Path, opened: Open) -> None:
+    def last_step(bird: int, state: messages.State) -> messages.State:
+        return replace(state, step=2**64 - 1) if state.step == 60 else state
+
+    run = opened(record(tmp_path / "run", CONFIGURATION, last_step))
+    with pytest.raises(FlockError, match="a state has step 18446744073709551615"):
+        run.at()

@@ -51,6 +51,9 @@ from flock_sim.recording.own_parts import (
 BLOCK = 4096
 """Number of states that are read at once."""
 
+LATEST = 2.0**64
+"""End of the times that a bag can hold, in ns."""
+
 SPARSE = 50
 """Mean number of rows between wanted ones above which each of them is sought in the bag."""
 
@@ -347,5 +350,11 @@ class Run:
             raise FlockError(
                 f"{self.path}: the states of step {states[0].step} have not the {members} "
                 "members of the configuration; take another copy of the bag"
+            )
+        step = states[0].step
+        if not self.configuration.time(step) * self.configuration.second * 1e9 < LATEST:
+            raise FlockError(
+                f"{self.path}: a state has step {step}, whose time can't be recorded;"
+                " take another copy of the bag"
             )
         return FlockState.of(states)
