@@ -76,7 +76,11 @@ class Played:
 
     @contextmanager
     def _player(
-        self, selection: Selection, own_birds: Sequence[str], clock: float | None
+        self,
+        selection: Selection,
+        own_birds: Sequence[str],
+        clock: float | None,
+        ros_arguments: Sequence[str],
     ) -> Iterator[tuple[Any, Callable[[], None]]]:
         self.selection = selection
         self.clock = clock

@@ -21,7 +21,7 @@ PARSERS = {
 
 OTHERS = {
     "flock_sim/bag/definitions.py": "definitions of messages that are installed",
-    "flock_sim/bag/reading/listing.py": "metadata.yaml, from events with a limit of depth",
+    "flock_sim/bag/reading/yaml_tree.py": "YAML of bags, from events, within limits",
     "flock_sim/launcher/fork_server.py": "answers of Flock's own process",
     "flock_sim/launcher/fork_server_process.py": "requests of Flock's own process",
     "flock_sim/launcher/forkable.py": "/proc",
@@ -32,7 +32,6 @@ OTHERS = {
     "flock_sim/ros/fastdds_shutdown.py": "/proc",
     "flock_sim/ros/settings_check.py": "/proc",
     "flock_tools/experiments/sweep/by_reference.py": "results that Flock has written",
-    "flock_tools/playback/topics.py": "quality of service in the metadata of a bag",
     "flock_tools/report/html.py": "the scripts and styles of the page",
     "flock_tools/scene/foxglove_server.py": "requests of a client; a frame has a limit of size",
 }

@@ -293,9 +293,9 @@ def test_a_state_of_another_program_may_have_no_means() -> None:
             data = replace(state, mean_speed=none, mean_interaction_drag=none).encode() + bytes(8)
         rows += give(assembler, (kind, bird, data))
     assert len(rows) == len(expected(stages=False))
-    for row, whole in zip(rows, expected(stages=False), strict=True):
-        assert row.states[::2] == whole.states[::2]
-        state = State.decode(row.states[1])
+    for found, whole in zip(rows, expected(stages=False), strict=True):
+        assert found.states[::2] == whole.states[::2]
+        state = State.decode(found.states[1])
         assert len(state.mean_speed) == len(state.mean_interaction_drag) == 0
         assert np.array_equal(state.position, State.decode(whole.states[1]).position)
         assert (state.run_id, state.epoch) == (0, 0)
