@@ -4,6 +4,7 @@
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def listing(path: Path) -> Listing:
             bag = path if form == SQLITE else path / other
             why = f"it has {form} ({other}): {conversion(form, bag)}"
         raise FlockError(f"{path} is not a bag that can be read: {why}")
-    if not (path / METADATA_FILE).exists():
+    if METADATA_FILE not in entries:
         missing = f"no {METADATA_FILE} (the recording was cut short)"
         return Listing(_in_order(found), missing=(missing,))
     information = _information(path)
@@ -69,8 +70,9 @@ def listing(path: Path) -> Listing:
 
 
 def _why_unreadable(file: Path) -> str:
-    if file.stat().st_size > (limit := limits.LARGEST_METADATA_FILE):
-        return f"{file.name} has more than {limit} bytes, the limit"
+    with suppress(OSError):
+        if file.stat().st_size > (limit := limits.LARGEST_METADATA_FILE):
+            return f"{file.name} has more than {limit} bytes, the limit"
     return f"{file.name} can't be read"
 
 

@@ -14,6 +14,7 @@ from flock_sim.bag.chunk import CHUNK_HEAD, fits, summarise
 from flock_sim.bag.directory import NEW_FILE, is_recording
 from flock_sim.bag.file_sections import Written
 from flock_sim.bag.index import has_end
+from flock_sim.bag.limits import LARGEST_DEFINITION
 from flock_sim.bag.reading.compression import FORMAT
 from flock_sim.bag.records import (
     FRAME,
@@ -211,7 +212,7 @@ def _walk(path: Path, offset: int) -> tuple[list[Extent], list[Note]]:
                 chunks.append(Extent(offset, after - offset, after))
             elif opcode == Opcode.MESSAGE_INDEX and chunks and chunks[-1].end == offset:
                 chunks[-1] = chunks[-1]._replace(end=after)
-            elif opcode == Opcode.METADATA:
+            elif opcode == Opcode.METADATA and length <= LARGEST_DEFINITION:
                 try:
                     notes.append(Note(offset, after, parse(Metadata.read, file.read(length))))
                 except DamagedError:
