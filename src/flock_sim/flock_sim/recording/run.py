@@ -351,10 +351,11 @@ class Run:
                 f"{self.path}: the states of step {states[0].step} have not the {members} "
                 "members of the configuration; take another copy of the bag"
             )
-        step = states[0].step
-        if not self.configuration.time(step) * self.configuration.second * 1e9 < LATEST:
-            raise FlockError(
-                f"{self.path}: a state has step {step}, whose time can't be recorded;"
-                " take another copy of the bag"
-            )
-        return FlockState.of(states)
+        found = FlockState.of(states)
+        for time in (self.configuration.time(found.step), found.time):
+            if not time * self.configuration.second * 1e9 < LATEST:
+                raise FlockError(
+                    f"{self.path}: a state has step {found.step} and time {found.time:g}, which"
+                    " can't be recorded; take another copy of the bag"
+                )
+        return found
