@@ -40,7 +40,8 @@ torture: setup  ## kill, interrupt and forge the messages of flights at random, 
 		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
 
 fuzz: setup  ## read 100,000 random parameter files, as many sweep files, and 10,000 random metadata.yaml (half an hour)
-	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py
+	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py \
+		tests/unit/bag/test_random_bags.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ament_index_python.packages import get_package_share_directory
 
 from flock_interfaces.msg import BirdState
+from flock_sim.ros.discovery import PROFILES
 from flock_tools.runs.dataset import load
 from support.bags import last_step
 from support.terminal import Job, Terminal
@@ -22,8 +24,13 @@ BIRD = ROOT / "examples" / "plain_bird.py"
 
 
 def start_plain(terminal: Terminal, *words: object) -> Job:
-    """Start a program that has none of Flock's settings, but leaves no shared memory behind."""
-    environment = {**terminal.environment, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    """Start a program without code of Flock. Its transports use no shared memory."""
+    settings = Path(get_package_share_directory("flock_sim")) / "machine.xml"
+    environment = {
+        **terminal.environment,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        PROFILES[0]: str(settings),
+    }
     command = [sys.executable, "-P", *map(str, words)]
     return terminal.start_command("plain", command, env=environment)
 
