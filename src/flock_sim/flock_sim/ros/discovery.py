@@ -10,9 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from flock_sim.console.arguments import (
-    note,
-)
+from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError, nearest
 from flock_sim.outside.printing import shown
 

@@ -16,8 +16,6 @@ BEGIN, END = "--ros-args", "--"
 _PARAMETERS = ("-p", "--param", "--params-file")
 _RENAMES = ("__node:=", "__name:=")
 
-ROS_ARGUMENTS_HELP = "--ros-args ... at the end: remapping rules and log options for all nodes"
-
 
 def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the arguments of a tool, and those for ROS with their `--ros-args`.
