@@ -17,10 +17,12 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from flock_interfaces.msg import BirdState
+from flock_interfaces.srv import Resume
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.ros.endpoints import DrainedNode
 from flock_sim.ros.late_parameters import LateParameters
+from support.bags import assert_stopped_as_the_reference, last_step
 from support.terminal import Job, Terminal
 from support.visitor import Visitor, visiting
 
@@ -38,35 +40,27 @@ def fly(terminal: Terminal, *options: object) -> Job:
     return terminal.start("fly", *options)
 
 
-def equal_to_the_reference(terminal: Terminal, bag: str, *options: object) -> bool:
-    terminal.well("reference", *options, "--output", "reference", "--force")
-    return terminal.run("compare", bag, "reference").status == 0
-
-
 def test_two_flocks_fly_in_two_namespaces_of_one_domain(
     terminal: Terminal, visitor: Visitor
 ) -> None:
     """The states of each are those of its own reference, and bags have the usual names."""
-    flown = {"/left": ("--birds", 2), "/fleet/right": ("--birds", 3, "--coupling", "all")}
-    common = ("--t-max", 300, "--record-every", 10, "--processes", 2)
-    heard = {name: visitor.hear(BirdState, f"{name}/bird_02/state", depth=31) for name in flown}
+    flocks = {"left": ("--birds", 2), "fleet/right": ("--birds", 3, "--coupling", "all")}
+    common = ("--t-max", 1e7, "--processes", 2)
+    heard = {name: visitor.hear(BirdState, f"/{name}/bird_02/state") for name in flocks}
     stray = visitor.hear(BirdState, "/flock/bird_02/state")
-    jobs = {
-        name: fly(
-            terminal,
-            *(*options, *common, "--output", name.rpartition("/")[2]),
-            *("--ros-args", "-r", f"__ns:={name}"),
-        )
-        for name, options in flown.items()
-    }
-    visitor.until(lambda: all(len({s.step for s in states}) == 31 for states in heard.values()))
-    for job in jobs.values():
+    jobs = {}
+    for name, flock in flocks.items():
+        bag = ("--output", Path(name).name)
+        jobs[name] = fly(terminal, *flock, *common, *bag, "--ros-args", "-r", f"__ns:=/{name}")
+    visitor.until(lambda: all(states and states[-1].step > 300 for states in heard.values()))
+    for name, job in jobs.items():
+        assert visitor.ask(Trigger, f"/{name}/clock/stop").success
         done = job.wait()
         assert done.status == 0, done.stderr
         assert "ignores" not in done.stderr
     assert not stray
-    for name, options in flown.items():
-        assert equal_to_the_reference(terminal, name.rpartition("/")[2], *options, *common[:4])
+    for name, flock in flocks.items():
+        assert_stopped_as_the_reference(terminal, flock[1], 10, *flock, bag=Path(name).name)
 
 
 @pytest.mark.parametrize("service", ["clock/pause", "clock/resume"])
@@ -96,8 +90,12 @@ def test_watch_and_a_remapped_topic_in_a_namespace(terminal: Terminal, visitor: 
 def test_play_moves_the_recorded_topics(terminal: Terminal, visitor: Visitor) -> None:
     terminal.well("reference", "--birds", 2, "--t-max", 20, "--output", "bag")
     heard = visitor.hear(BirdState, "/left/bird_01/state")
-    terminal.well("play", "bag", "--rate", 0, "--ros-args", "-r", "__ns:=/left")
+    ros = ("--ros-args", "-r", "__ns:=/left")
+    job = terminal.start("play", "bag", "--rate", 0, "--paused", *ros)
+    visitor.until(lambda: all(s.get_publisher_count() for s in visitor.node.subscriptions))
+    visitor.ask(Resume, "/left/player/resume")
     visitor.until(lambda: len(heard) == 3)
+    assert job.wait().status == 0
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -187,19 +185,31 @@ def test_fly_shows_logs_if_asked(terminal: Terminal) -> None:
     assert json.loads(done.stdout)["last_step"] == 20
 
 
-@pytest.mark.parametrize(("every", "steps"), [(0, 10), (1, 1), (4, 2)])
+@pytest.mark.parametrize("every", [0, 1, 4])
 def test_clock_is_as_fine_as_asked_and_the_flight_is_the_same(
-    terminal: Terminal, visitor: Visitor, every: int, steps: int
+    terminal: Terminal, visitor: Visitor, every: int
 ) -> None:
     """With record_every 10, every 4th step means the multiples of 4 and of 10."""
-    configuration = FlockConfiguration(birds=2, t_max=100.0)
-    due = {s for s in range(101) if s % 10 == 0 or (every and s % every == 0)}
-    heard = visitor.hear(Clock, "/clock", depth=1000)
-    terminal.well("fly", "--birds", 2, "--t-max", 100, "--clock-every", every, "--output", "bag")
-    stamps = [configuration.stamp(step) for step in sorted(due)]
-    visitor.until(lambda: len(heard) >= len(stamps))
-    assert [c.clock.sec * 10**9 + c.clock.nanosec for c in heard] == stamps
-    assert equal_to_the_reference(terminal, "bag", "--birds", 2, "--t-max", 100)
+    configuration = FlockConfiguration(birds=2, t_max=1e7)
+    flock = ("--birds", 2, "--record-every", 10)
+    job = fly(terminal, *flock, "--t-max", 1e7, "--clock-every", every, "--output", "bag")
+    visitor.until(lambda: last_step(terminal.directory / "bag") > 100)
+    paused = visitor.ask(Trigger, "/flock/clock/pause")
+    last = int(paused.message.rpartition(" ")[2])  # "the flight pauses at step 3000"
+    due = [s for s in range(last + 1) if s % 10 == 0 or (every and s % every == 0)]
+    stamps = [configuration.stamp(step) for step in due]
+    heard = visitor.hear(Clock, "/clock", depth=topics.MOST_TIMES)
+    told: list[int] = []
+
+    def has_the_last() -> bool:
+        told[:] = [c.clock.sec * 10**9 + c.clock.nanosec for c in heard]
+        return stamps[-1] in told
+
+    visitor.until(has_the_last)
+    assert len(told) > 10
+    assert told == stamps[-len(told) :]
+    visitor.stop(job)
+    assert_stopped_as_the_reference(terminal, 2, 10, *flock)
 
 
 def test_a_late_listener_gets_what_the_page_promises(terminal: Terminal, visitor: Visitor) -> None:
@@ -222,6 +232,7 @@ def test_a_late_listener_gets_what_the_page_promises(terminal: Terminal, visitor
 
 def test_states_are_in_the_frame_of_the_air(terminal: Terminal, visitor: Visitor) -> None:
     heard = visitor.hear(BirdState, "/flock/bird_01/state")
-    terminal.well("fly", "--birds", 2, "--t-max", 20, "--no-record")
+    job = fly(terminal, "--birds", 2, *LONG)
     visitor.until(lambda: heard)
     assert heard[0].header.frame_id == "world"
+    visitor.stop(job)

@@ -46,20 +46,20 @@ def assert_begins_as(bag: Path, whole: Path) -> int:
 
 
 def assert_stopped_as_the_reference(
-    terminal: Terminal, birds: int, every: int, *flock: object
+    terminal: Terminal, birds: int, every: int, *flock: object, bag: str = "bag"
 ) -> None:
     """Assert that `bag`, a flight without an end, equals the reference up to its last step.
 
     The flight was stopped in order: the bag has each state once, bit for bit, and is complete.
     `flock` are the options of the flock.
     """
-    bag = terminal.directory / "bag"
-    end = last_step(bag)
-    terminal.well("reference", *flock, "--t-max", end, "--output", "reference")
-    with Run(bag) as run:
+    flown, reference = terminal.directory / bag, terminal.directory / f"reference-of-{bag}"
+    end = last_step(flown)
+    terminal.well("reference", *flock, "--t-max", end, "--output", reference)
+    with Run(flown) as run:
         assert run.bag.missing is None
         assert run.missing is not None
         assert "the flight was ended" in run.missing
-    assert assert_begins_as(bag, terminal.directory / "reference") == birds * (end // every + 1)
-    with Run(bag) as part, Run(terminal.directory / "reference") as run:
+    assert assert_begins_as(flown, reference) == birds * (end // every + 1)
+    with Run(flown) as part, Run(reference) as run:
         assert part.state_digest == run.state_digest is not None
