@@ -21,7 +21,7 @@ from flock_interfaces.srv import Resume
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.ros.endpoints import DrainedNode
-from flock_sim.ros.late_parameters import LateParameters
+from flock_sim.ros.parameters.late_services import LateParameters
 from support.bags import assert_stopped_as_the_reference, last_step
 from support.terminal import Job, Terminal
 from support.visitor import Visitor, visiting
@@ -120,7 +120,7 @@ def test_services_are_created_one_by_one_within_their_share_of_the_time(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("flock_sim.ros.late_parameters.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("flock_sim.ros.parameters.late_services.time.monotonic", lambda: now[0])
     options = {"start_parameter_services": False, "enable_rosout": False}
     nodes = [DrainedNode(f"node_{k}", context=context, **options) for k in range(3)]
     declared: list[Any] = []

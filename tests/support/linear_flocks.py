@@ -4,7 +4,7 @@
 import numpy as np
 
 from flock_sim.response.linear_response import responses_of
-from flock_sim.theory.delay_stability import delayed_linearisation, steady_flight
+from flock_sim.theory.delayed.stability import delayed_linearisation, steady_flight
 from flock_sim.theory.linear_stability import jacobian
 from support.steady_flocks import positions_of, random_ratios
 from support.steady_states import flock_of

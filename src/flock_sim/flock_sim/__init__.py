@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from flock_sim.response.linear_response import Response as Response
     from flock_sim.response.linear_response import frequency_response as frequency_response
     from flock_sim.response.linear_response import linear_response as linear_response
-    from flock_sim.theory.arrangement import Arrangement as Arrangement
-    from flock_sim.theory.arrangement import arrange as arrange
-    from flock_sim.theory.delay_stability import Crossing as Crossing
-    from flock_sim.theory.delay_stability import crossings as crossings
-    from flock_sim.theory.delayed_nearest import DelayedNearest as DelayedNearest
-    from flock_sim.theory.delayed_nearest import delayed_nearest as delayed_nearest
+    from flock_sim.theory.arrangement.arrange import Arrangement as Arrangement
+    from flock_sim.theory.arrangement.arrange import arrange as arrange
+    from flock_sim.theory.delayed.nearest import DelayedNearest as DelayedNearest
+    from flock_sim.theory.delayed.nearest import delayed_nearest as delayed_nearest
+    from flock_sim.theory.delayed.stability import Crossing as Crossing
+    from flock_sim.theory.delayed.stability import crossings as crossings
     from flock_sim.theory.equilibrium import Equilibrium as Equilibrium
     from flock_sim.theory.equilibrium import equilibrium as equilibrium
     from flock_sim.theory.limit_search import Limits as Limits
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _MODULES = {
-    "Arrangement": "flock_sim.theory.arrangement",
+    "Arrangement": "flock_sim.theory.arrangement.arrange",
     "BirdNode": "flock_sim.nodes.bird",
-    "Crossing": "flock_sim.theory.delay_stability",
-    "DelayedNearest": "flock_sim.theory.delayed_nearest",
+    "Crossing": "flock_sim.theory.delayed.stability",
+    "DelayedNearest": "flock_sim.theory.delayed.nearest",
     "Equilibrium": "flock_sim.theory.equilibrium",
     "Flock": "flock_sim.physics.flock",
     "FlockConfiguration": "flock_sim.configuration.flock_configuration",
@@ -62,9 +62,9 @@ _MODULES = {
     "Run": "flock_sim.recording.run",
     "RunFailed": "flock_sim.errors",
     "Sensitivity": "flock_sim.theory.sensitivity",
-    "arrange": "flock_sim.theory.arrangement",
-    "crossings": "flock_sim.theory.delay_stability",
-    "delayed_nearest": "flock_sim.theory.delayed_nearest",
+    "arrange": "flock_sim.theory.arrangement.arrange",
+    "crossings": "flock_sim.theory.delayed.stability",
+    "delayed_nearest": "flock_sim.theory.delayed.nearest",
     "equilibrium": "flock_sim.theory.equilibrium",
     "exact_limits": "flock_sim.theory.span_limits",
     "exact_thrust_limits": "flock_sim.theory.thrust_limits",

@@ -14,7 +14,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, nearest
 from flock_sim.physics.flock import Flock
 from flock_sim.response.linear_response import linear_response
-from flock_sim.theory.delayed_linearisation import MODELS
+from flock_sim.theory.delayed.linearisation import MODELS
 from flock_tools.experiments.sweep.dataset import ATTRIBUTES as OF_FLIGHTS
 from flock_tools.experiments.sweep.dataset import BIRD, GAP, Values, labelled, put
 from flock_tools.runs.dataset import LATERAL_SIGN, attributes_of
@@ -163,7 +163,7 @@ def limits(
 
 def arrangement(configuration: FlockConfiguration) -> xr.Dataset:
     """Return the best orders of the birds of a flock: in speed, and in margin."""
-    from flock_sim.theory.arrangement import arrange
+    from flock_sim.theory.arrangement.arrange import arrange
 
     found = arrange(configuration, configuration.span_ratio[:, 0])
     best = {

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flock_sim.theory import arrangement
+from flock_sim.theory.arrangement import arrange as arrange_module
 from flock_tools.commands.arrange import MOST_BIRDS, tool
 from support.steady_states import steady
 from support.tool_runs import error_of, json_of, text_of
@@ -89,7 +89,7 @@ def test_orders_are_drawn(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", counted)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", counted)
     output = tmp_path / "orders.svg"
     told = text_of(tool, capsys, "--spans", spans, "--output", str(output))
     assert f"drawn: {output}" in told

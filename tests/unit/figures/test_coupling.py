@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
+from flock_sim.theory.delayed.linearisation import HOLD, LINEAR
 from flock_tools.experiments.coupling_study import Delayed, Held
 from flock_tools.figures.coupling import draw_study
 from support.legibility import cut_off, overlaps

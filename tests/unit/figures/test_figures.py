@@ -23,10 +23,15 @@ from flock_sim.theory.span_limits import exact_limits, modified_birds
 from flock_sim.theory.thrust_limits import exact_thrust_limits
 from flock_tools.commands.figures import tool
 from flock_tools.figures import files
-from flock_tools.figures.contributions import CONFIGURATION, contributions, draw_contributions
 from flock_tools.figures.limits import draw_limits, limits_table
-from flock_tools.figures.modified_bird import CASES, draw_modified, modified_flocks, modified_table
-from flock_tools.figures.steady_states import SHOWN, draw_steady, steady_flocks
+from flock_tools.figures.paper.contributions import CONFIGURATION, contributions, draw_contributions
+from flock_tools.figures.paper.modified_bird import (
+    CASES,
+    draw_modified,
+    modified_flocks,
+    modified_table,
+)
+from flock_tools.figures.paper.steady_states import SHOWN, draw_steady, steady_flocks
 from flock_tools.figures.style import COLUMN, PAGE, SMALL
 from flock_tools.figures.table import Table
 from support.legibility import cut_off, overlaps, texts

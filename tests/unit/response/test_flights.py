@@ -13,7 +13,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
 from flock_sim.response.linear_response import frequency_response, linear_response
-from flock_sim.theory.delay_stability import steady_flight
+from flock_sim.theory.delayed.stability import steady_flight
 
 STEPS_A_PERIOD = (120, 240, 480, 720, 1440)
 """All divide the time over which the response is taken."""

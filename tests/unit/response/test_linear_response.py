@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flock_sim.response.linear_response import frequency_response, linear_response, neighbour_pairs
-from flock_sim.theory.delayed_nearest import delayed_nearest
+from flock_sim.theory.delayed.nearest import delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
 from support.linear_flocks import dense_response, mixed_flock, motion_of
 from support.steady_states import flock_of

@@ -38,7 +38,7 @@ from flock_sim.ros.ros_arguments import namespace, split
 
 if TYPE_CHECKING:
     from flock_sim.commands.resume import Resumable
-    from flock_sim.ros.node_parameters import FlightParameters
+    from flock_sim.ros.parameters.node_parameters import FlightParameters
 
 DESCRIPTION = """\
 Fly a flock over ROS 2, record it as a rosbag2 bag, and print its metrics. Each bird is a node,
@@ -181,7 +181,7 @@ def _parser() -> Parser:
 def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
     from flock_sim.messages import topics
     from flock_sim.protocol.free_flight import check_free
-    from flock_sim.ros.node_parameters import CLOCK
+    from flock_sim.ros.parameters.node_parameters import CLOCK
 
     told = _told(options, resumed)
     configuration, clock = told.configuration, told.of([CLOCK])
@@ -228,7 +228,7 @@ def _plan(options: argparse.Namespace, resumed: Resumable | None) -> Plan:
 
 def _told(options: argparse.Namespace, resumed: Resumable | None) -> FlightParameters:
     """Return the configuration, and the operation of the nodes from the configuration file."""
-    from flock_sim.ros.node_parameters import FlightParameters, of_flight
+    from flock_sim.ros.parameters.node_parameters import FlightParameters, of_flight
 
     if resumed:
         return FlightParameters(resumed.configuration)
@@ -247,7 +247,7 @@ def _recorded(
     The output is None if the flight is not recorded, or if it goes to a new directory.
     """
     from flock_sim.messages.topics import RECORDER
-    from flock_sim.ros.node_parameters import CLOCK
+    from flock_sim.ros.parameters.node_parameters import CLOCK
 
     if resumed:
         return options.resume, resumed.stages
@@ -262,7 +262,7 @@ def _recorded(
 
 
 def _is_recorded(options: argparse.Namespace, told: FlightParameters | None) -> bool:
-    from flock_sim.ros.node_parameters import CLOCK
+    from flock_sim.ros.parameters.node_parameters import CLOCK
 
     return not options.no_record and (told is None or told.of([CLOCK]).get("record", True))
 

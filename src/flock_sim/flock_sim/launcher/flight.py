@@ -23,7 +23,7 @@ from flock_sim.ros.discovery import own_domain, prepare_discovery
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.recording.output_directory import Output
-    from flock_sim.ros.node_parameters import FlightParameters
+    from flock_sim.ros.parameters.node_parameters import FlightParameters
 
 NODE_MARGIN = 30.0
 """Extra timeout of the other nodes over that of the clock, in s: the clock ends the flight."""
@@ -139,7 +139,7 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
     from flock_sim.messages import topics
     from flock_sim.nodes.clock import ClockNode, keep_time
     from flock_sim.protocol.clock import Timekeeper
-    from flock_sim.ros.parameters import declare
+    from flock_sim.ros.parameters.declared import declare
     from flock_sim.ros.process import executing, ros_context
     from flock_sim.ros.settings_check import check_settings
     from flock_sim.ros.watchdog import Watchdog

@@ -99,8 +99,8 @@ def warm_equilibrium(coupling: str) -> None:
 def warm_arrangement() -> None:
     """Do the same with the search for the best order of birds."""
     from flock_sim.physics.scaling import Scales
-    from flock_sim.theory.arrangement_orders import Kinds
-    from flock_sim.theory.arrangement_search import ChainSearch, Wanted
+    from flock_sim.theory.arrangement.branch_and_bound import ChainSearch, Wanted
+    from flock_sim.theory.arrangement.orders import Kinds
 
     scales = Scales.of(FlockConfiguration())
     kinds = Kinds.of(scales, "nearest", np.array([0.99, 1.0, 1.01]))

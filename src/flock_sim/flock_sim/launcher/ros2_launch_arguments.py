@@ -17,7 +17,7 @@ from flock_sim.errors import FlockError
 from flock_sim.launcher.partition import MOST_PROCESSES, partition, process_count
 from flock_sim.messages.topics import NAMESPACE, RECORDER
 from flock_sim.outside.printing import shown
-from flock_sim.ros.node_parameters import FlightParameters, of_flight
+from flock_sim.ros.parameters.node_parameters import FlightParameters, of_flight
 
 ARGUMENTS = {
     "birds": ("", "number of birds; empty: the number in `config`, or 13"),

@@ -24,7 +24,7 @@ from flock_sim.launcher.ros2_launch_arguments import Arguments, refuse_others
 from flock_sim.messages.topics import RECORDER, bird_name
 from flock_sim.protocol.clock import new_run_id
 from flock_sim.ros.discovery import own_domain, prepare_discovery
-from flock_sim.ros.node_parameters import CLOCK
+from flock_sim.ros.parameters.node_parameters import CLOCK
 
 LATE = 30.0
 """Longest time for the other nodes to end after the flight, in s."""

@@ -21,8 +21,8 @@ from flock_sim.nodes.free_bird import FreeBirdNode, keep_ticking
 from flock_sim.protocol.free_flight import check_free
 from flock_sim.ros.diagnostics import Diagnostics, Status, ignored
 from flock_sim.ros.endpoints import wait_until_heard
-from flock_sim.ros.late_parameters import LateParameters
-from flock_sim.ros.parameters import declare
+from flock_sim.ros.parameters.declared import declare
+from flock_sim.ros.parameters.late_services import LateParameters
 from flock_sim.ros.process import Process, executing, run_node
 from flock_sim.ros.spin import keep_flying
 from flock_sim.ros.watchdog import Watchdog

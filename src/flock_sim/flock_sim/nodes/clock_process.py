@@ -11,7 +11,7 @@ from flock_sim.messages.epochs import first_epoch
 from flock_sim.messages.handshake import run_id_of
 from flock_sim.nodes.clock import ClockNode, keep_time
 from flock_sim.protocol.clock import Timekeeper
-from flock_sim.ros.parameters import declare
+from flock_sim.ros.parameters.declared import declare
 from flock_sim.ros.process import Process, executing, run_node
 
 

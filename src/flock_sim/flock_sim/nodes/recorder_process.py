@@ -18,7 +18,7 @@ from flock_sim.protocol.free_flight import GONE, check_free
 from flock_sim.recording.flight_writer import recording
 from flock_sim.recording.output_directory import own_bag, own_output
 from flock_sim.ros.machine import machine_with_ros
-from flock_sim.ros.parameters import declare
+from flock_sim.ros.parameters.declared import declare
 from flock_sim.ros.process import Process, executing, run_node
 
 

@@ -11,7 +11,7 @@ from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.response import chain_kernels, elimination, largest_gain
 from flock_sim.response.elimination import ComplexArray
-from flock_sim.theory.delayed_linearisation import DelayedLinearisation
+from flock_sim.theory.delayed.linearisation import DelayedLinearisation
 
 MOST_CHANGE = 0.4
 """Largest change of the logarithm of a factor of the determinant between two frequencies."""

@@ -19,7 +19,7 @@ import numpy as np
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.response.elimination import ComplexArray, fill_moved
-from flock_sim.theory.delayed_linearisation import DelayedLinearisation
+from flock_sim.theory.delayed.linearisation import DelayedLinearisation
 
 MOST_CHANGE, MOST_TURN = 0.4, 1.2
 """Largest change of the logarithms of speeds and of determinants between two frequencies.

@@ -22,7 +22,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from flock_sim.errors import RunFailed
 from flock_sim.physics.arrays import FloatArray
-from flock_sim.theory.delayed_linearisation import DelayedLinearisation
+from flock_sim.theory.delayed.linearisation import DelayedLinearisation
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 

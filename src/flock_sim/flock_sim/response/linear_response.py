@@ -20,8 +20,8 @@ from flock_sim.response.frequencies import Frequencies, Responses
 from flock_sim.response.gibbs import gap_distributions
 from flock_sim.response.gust import variances_by_covariance, variances_by_frequency
 from flock_sim.response.peaks import Peaks, peaks
-from flock_sim.theory.delay_stability import steady_flight
-from flock_sim.theory.delayed_linearisation import LINEAR, DelayedLinearisation
+from flock_sim.theory.delayed.linearisation import LINEAR, DelayedLinearisation
+from flock_sim.theory.delayed.stability import steady_flight
 
 ROUNDING = 1e-13
 """Logarithm of a gain that is 1 but for rounding."""
@@ -113,7 +113,7 @@ def linear_response(
     """Return the linear responses of all members of `flock`.
 
     Birds know their neighbours `lag` late, in b / U_min, and use a late state as `model` says, one
-    of `delayed_linearisation.MODELS`. `gust` is the standard deviation STD of white accelerations.
+    of `delayed.linearisation.MODELS`. `gust` is the standard deviation STD of white accelerations.
     `on_member` is called with 1 after each member. Raises ValueError for an unknown model or a lag
     that is negative or not finite, RunFailed if a steady state or a response can't be computed.
     """

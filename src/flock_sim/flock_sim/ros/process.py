@@ -27,8 +27,8 @@ from flock_sim.errors import FlockError
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.fetch import ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD, let_fetch
-from flock_sim.ros.given import parameter_reader, what_is_given
 from flock_sim.ros.log import initialised, warn
+from flock_sim.ros.parameters.given import parameter_reader, what_is_given
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
 

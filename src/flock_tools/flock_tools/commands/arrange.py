@@ -29,7 +29,7 @@ from flock_tools.figures.output import check_picture, write_picture
 
 if TYPE_CHECKING:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
-    from flock_sim.theory.arrangement import Arranged, Arrangement
+    from flock_sim.theory.arrangement.arrange import Arranged, Arrangement
 
 MOST_BIRDS = {"nearest": 60, "all": 25}
 """Largest flock of each coupling: about a minute of the local search."""
@@ -86,7 +86,7 @@ def tool(arguments: Sequence[str]) -> int:
 
     from flock_sim.console.progress import stages
     from flock_sim.launcher.precompile import warm_equilibrium
-    from flock_sim.theory.arrangement import arrange
+    from flock_sim.theory.arrangement.arrange import arrange
 
     warm_equilibrium(configuration.coupling)
     begun = time.perf_counter()

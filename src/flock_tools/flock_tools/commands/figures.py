@@ -26,10 +26,14 @@ def paper_figures() -> Iterator[FigureFiles]:
     """Compute and draw the figures, one after another."""
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.theory.span_limits import exact_limits, modified_birds
-    from flock_tools.figures.contributions import contributions, draw_contributions
     from flock_tools.figures.limits import draw_limits, limits_table
-    from flock_tools.figures.modified_bird import draw_modified, modified_flocks, modified_table
-    from flock_tools.figures.steady_states import draw_steady, steady_flocks
+    from flock_tools.figures.paper.contributions import contributions, draw_contributions
+    from flock_tools.figures.paper.modified_bird import (
+        draw_modified,
+        modified_flocks,
+        modified_table,
+    )
+    from flock_tools.figures.paper.steady_states import draw_steady, steady_flocks
 
     contributed = contributions()
     yield FigureFiles("figure_2", draw_contributions(contributed), {"": contributed.table()})

@@ -23,8 +23,8 @@ def study() -> Iterator[FigureFiles]:
     from flock_sim.configuration.flock_configuration import FlockConfiguration
     from flock_sim.console.progress import counter
     from flock_sim.physics.flock import Flock
-    from flock_sim.theory.delay_stability import crossings
-    from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
+    from flock_sim.theory.delayed.linearisation import HOLD, LINEAR
+    from flock_sim.theory.delayed.stability import crossings
     from flock_tools.experiments.coupling_study import FAULTS, delayed_flights, limits_over_links
     from flock_tools.figures.coupling import delayed_table, draw_study, held_table
 

@@ -14,9 +14,9 @@ from flock_sim.configuration import span_ratios
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.flock import Flock
 from flock_sim.reference.integrator import Reference
-from flock_sim.theory.delay_stability import steady_flight
-from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
-from flock_sim.theory.delayed_nearest import delayed_nearest
+from flock_sim.theory.delayed.linearisation import HOLD, LINEAR
+from flock_sim.theory.delayed.nearest import delayed_nearest
+from flock_sim.theory.delayed.stability import steady_flight
 from flock_sim.theory.span_limits import modified_span_ratios
 from flock_tools.experiments.workers import workers
 

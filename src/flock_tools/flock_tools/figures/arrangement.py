@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from flock_sim.physics import formation
-from flock_sim.theory.arrangement import EXACT, Arranged, Arrangement
+from flock_sim.theory.arrangement.arrange import EXACT, Arranged, Arrangement
 from flock_tools.figures.style import (
     BLUE,
     COUPLING_NAMES,

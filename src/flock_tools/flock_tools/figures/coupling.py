@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flock_sim.theory.delayed_linearisation import HOLD, LINEAR
+from flock_sim.theory.delayed.linearisation import HOLD, LINEAR
 from flock_tools.experiments.coupling_study import (
     BIRDS,
     LAGS,

@@ -18,7 +18,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.response.frequencies import Frequencies
 from flock_sim.response.linear_response import Gust, Response, neighbour_pairs, responses_of
-from flock_sim.theory.delayed_linearisation import LINEAR, DelayedLinearisation
+from flock_sim.theory.delayed.linearisation import LINEAR, DelayedLinearisation
 from flock_tools.figures.style import (
     ALARM,
     BLUE,

@@ -18,8 +18,8 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.recording.run import Run
 from flock_tools.figures.labels import keep_apart
-from flock_tools.figures.plan_drawing import draw_formation
-from flock_tools.figures.plan_view import PlanView
+from flock_tools.figures.plan.drawing import draw_formation
+from flock_tools.figures.plan.view import PlanView
 from flock_tools.figures.style import ALARM, FAINT, INK, STYLE, flock_name
 from flock_tools.runs.dataset import read
 

@@ -15,14 +15,14 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from flock_sim.physics.arrays import BoolArray, FloatArray
 from flock_tools.figures.bird_outline import OUTLINE
-from flock_tools.figures.plan_labels import (
+from flock_tools.figures.plan.labels import (
     explain,
     mark_other_spans,
     number_birds,
     show_flight,
     tell_who_left,
 )
-from flock_tools.figures.plan_view import PlanView
+from flock_tools.figures.plan.view import PlanView
 from flock_tools.figures.style import DRAG_SAVED, FAINT, INK, PALE, saved_scale
 
 _MOST_FIVES = 100.0

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.theory.arrangement_orders import Kinds, OrderArray, canonical
+from flock_sim.theory.arrangement.orders import Kinds, OrderArray, canonical
 
 SEED = 20
 

@@ -9,8 +9,13 @@ import pytest
 from mpmath import mp
 from scipy.optimize import root
 
-from flock_sim.theory.delay_stability import crossings, delayed_linearisation, growth, steady_flight
-from flock_sim.theory.delayed_linearisation import MODELS
+from flock_sim.theory.delayed.linearisation import MODELS
+from flock_sim.theory.delayed.stability import (
+    crossings,
+    delayed_linearisation,
+    growth,
+    steady_flight,
+)
 from flock_sim.theory.equilibrium import equilibrium
 from flock_sim.theory.linear_stability import eigenvalues
 from support.delayed_flights import DelayedFlight

@@ -9,9 +9,9 @@ from math import isfinite, nan
 
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
-from flock_sim.theory.delayed_all_to_all import delayed_all_to_all
-from flock_sim.theory.delayed_linearisation import HOLD, LINEAR, MODELS, DelayedLinearisation
-from flock_sim.theory.delayed_nearest import delayed_nearest
+from flock_sim.theory.delayed.all_to_all import delayed_all_to_all
+from flock_sim.theory.delayed.linearisation import HOLD, LINEAR, MODELS, DelayedLinearisation
+from flock_sim.theory.delayed.nearest import delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
 
 LAG_RESOLUTION = 1e-12

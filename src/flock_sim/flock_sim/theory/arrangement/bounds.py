@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds for the search of the best order of nearest neighbours: see `arrangement_search`."""
+"""Bounds for the search of the best order of nearest neighbours: see `branch_and_bound`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compile import kernel
 from flock_sim.physics.formation import TIP_SPACING, VORTEX_FRACTION
 from flock_sim.physics.interaction import even_part
-from flock_sim.theory.arrangement_orders import Kinds
+from flock_sim.theory.arrangement.orders import Kinds
 
 ROUNDING = 1e-13
 """Bound of the rounding errors of W and n, relative to the largest W(all)."""

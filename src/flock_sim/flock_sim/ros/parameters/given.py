@@ -21,7 +21,7 @@ from flock_sim.console.signals import SUPERVISED
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.ros.fastdds_shutdown import leave
-from flock_sim.ros.node_parameters import check_same, resolved, together
+from flock_sim.ros.parameters.node_parameters import check_same, resolved, together
 
 
 def _reader_name(name: str) -> str:

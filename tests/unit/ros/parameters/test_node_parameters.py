@@ -17,7 +17,7 @@ from flock_sim.configuration.operation import parted
 from flock_sim.errors import FlockError
 from flock_sim.launcher.flight import Plan
 from flock_sim.launcher.ros2_launch_arguments import ARGUMENTS, Arguments
-from flock_sim.ros.node_parameters import together
+from flock_sim.ros.parameters.node_parameters import together
 from flock_tools.commands.equilibrium import tool as equilibrium
 from support.tool_runs import error_of
 

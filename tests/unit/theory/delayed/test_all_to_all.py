@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from flock_sim.theory.delay_stability import crossings, growth
-from flock_sim.theory.delayed_all_to_all import delayed_all_to_all
-from flock_sim.theory.delayed_nearest import delayed_nearest
+from flock_sim.theory.delayed.all_to_all import delayed_all_to_all
+from flock_sim.theory.delayed.nearest import delayed_nearest
+from flock_sim.theory.delayed.stability import crossings, growth
 from flock_sim.theory.equilibrium import equilibrium
 from support.steady_flocks import random_ratios
 from support.steady_states import flock_of, largest_force

@@ -2,7 +2,7 @@
 """The best order of unequal birds: the fastest, the fastest that holds together, the firmest.
 
 Up to MOST_COUNTED orders, all are computed. Beyond, nearest neighbours are searched by branch and
-bound (`arrangement_search`), exactly too; other flocks by a local search (`arrangement_local`),
+bound (`branch_and_bound`), exactly too; other flocks by a local search (`local_search`),
 which is a heuristic.
 """
 
@@ -16,21 +16,21 @@ import numpy as np
 
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.scaling import Scales, drag_reduction
-from flock_sim.theory.arrangement_local import (
-    LocalSearch,
-    Objective,
-    fastest,
-    fastest_flying,
-    firmest,
-)
-from flock_sim.theory.arrangement_orders import Kinds, OrderArray, canonical
-from flock_sim.theory.arrangement_search import (
+from flock_sim.theory.arrangement.branch_and_bound import (
     MOST_STATES,
     ChainSearch,
     Unfinished,
     Wanted,
     states,
 )
+from flock_sim.theory.arrangement.local_search import (
+    LocalSearch,
+    Objective,
+    fastest,
+    fastest_flying,
+    firmest,
+)
+from flock_sim.theory.arrangement.orders import Kinds, OrderArray, canonical
 from flock_sim.theory.steady_speed import balances
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flock_sim.physics.compile import kernel
-from flock_sim.theory.arrangement_bounds import (
+from flock_sim.theory.arrangement.bounds import (
     Bounds,
     Tables,
     fill_bounds,
@@ -49,7 +49,7 @@ from flock_sim.theory.arrangement_bounds import (
     square_at,
     tables_of,
 )
-from flock_sim.theory.arrangement_orders import Kinds, OrderArray
+from flock_sim.theory.arrangement.orders import Kinds, OrderArray
 
 MOST_STATES = 2_500_000
 """Largest number of states: that of 17 birds that all differ."""

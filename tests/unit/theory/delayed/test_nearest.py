@@ -6,7 +6,7 @@ import pytest
 from mpmath import mp
 from scipy.optimize import root
 
-from flock_sim.theory.delayed_nearest import BALANCED, delayed_nearest
+from flock_sim.theory.delayed.nearest import BALANCED, delayed_nearest
 from flock_sim.theory.equilibrium import equilibrium
 from support.delayed_flights import DelayedFlight
 from support.steady_flocks import (

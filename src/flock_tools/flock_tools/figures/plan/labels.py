@@ -12,7 +12,7 @@ from matplotlib.text import Text
 
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import BoolArray, IntArray
-from flock_tools.figures.plan_view import PlanView
+from flock_tools.figures.plan.view import PlanView
 from flock_tools.figures.style import BLUE, FAINT, INK, VERMILLION
 
 _MOST_NUMBERS = 15

@@ -9,7 +9,7 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics import formation
 from flock_sim.reference.integrator import Reference
-from flock_sim.theory.delay_stability import crossings, delayed_linearisation, steady_flight
+from flock_sim.theory.delayed.stability import crossings, delayed_linearisation, steady_flight
 from support.steady_states import flock_of, rate_and_frequency
 
 BIRDS = 3

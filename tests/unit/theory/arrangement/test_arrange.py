@@ -8,9 +8,11 @@ import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.scaling import Scales
-from flock_sim.theory import arrangement, arrangement_bounds, arrangement_search
-from flock_sim.theory.arrangement import arrange
-from flock_sim.theory.arrangement_orders import Kinds
+from flock_sim.theory.arrangement import arrange as arrange_module
+from flock_sim.theory.arrangement import bounds as bounds_module
+from flock_sim.theory.arrangement import branch_and_bound
+from flock_sim.theory.arrangement.arrange import arrange
+from flock_sim.theory.arrangement.orders import Kinds
 from support.steady_flocks import H_0, STRENGTH, A, across, even
 from support.steady_states import steady
 
@@ -87,7 +89,7 @@ def check(result, orders, speed, margin, wanted):
 )
 def test_results_are_those_of_all_orders(coupling, method, monkeypatch):
     if method == "branch and bound":
-        monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
+        monkeypatch.setattr(arrange_module, "MOST_COUNTED", 0)
     none_flies, proud = 0, 0
     for seed in range(50):
         spans = spans_of(seed)
@@ -121,7 +123,7 @@ def same(one, other):
 def test_ten_birds_are_searched_as_exactly_as_tried(spread, monkeypatch):
     spans = np.random.default_rng(10).normal(1.0, spread, 10)
     tried = arranged("nearest", spans)
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", 0)
     same(arranged("nearest", spans), tried)
     assert tried.orders == 1814400
 
@@ -134,7 +136,7 @@ def test_an_order_at_the_edge_of_what_flies_is_proven_soon(monkeypatch):
         1.006362796663018, 1.0064944527534079, 1.0083928898171612, 1.0087275116866226,
         1.009547403510078
     ]  # fmt: skip
-    monkeypatch.setattr(arrangement_search, "MOST_WORK", 20_000_000)
+    monkeypatch.setattr(branch_and_bound, "MOST_WORK", 20_000_000)
     found = arranged("nearest", np.array(spans))
     assert found.method == "exact"
     assert 0.0 < found.fastest_flying.margin < 1e-9
@@ -144,8 +146,8 @@ def test_an_order_at_the_edge_of_what_flies_is_proven_soon(monkeypatch):
 def test_halved_intervals_change_no_result(seed, monkeypatch):
     spans = np.random.default_rng(seed).normal(1.0, (0.01, 0.05, 0.1)[seed % 3], 8)
     tried = arranged("nearest", spans)
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
-    monkeypatch.setattr(arrangement_search, "BUDGET", 300)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", 0)
+    monkeypatch.setattr(branch_and_bound, "BUDGET", 300)
     same(arranged("nearest", spans), tried)
 
 
@@ -157,14 +159,14 @@ def test_bounds_cut_no_wanted_order():
 def wanted_orders_within_bounds(seed):
     """Check the bounds of all states that wanted orders pass; return the number of such orders."""
     kinds = Kinds.of(SCALES, "nearest", spans_of(seed))
-    search = arrangement_search.ChainSearch(kinds)
+    search = branch_and_bound.ChainSearch(kinds)
     tables, bounds = search.tables, search._bounds
     orders = kinds.all_orders()
     speed, margin = kinds.values(orders)
     level = float(np.median(margin))
     saved = [search.saved_at(one) for one in speed]
     low, high = float(np.quantile(saved, 0.3)) - 1e-9, float(np.quantile(saved, 0.9)) + 1e-9
-    arrangement_bounds.fill_bounds(tables, bounds, level - 1e-9, low, high)
+    bounds_module.fill_bounds(tables, bounds, level - 1e-9, low, high)
     wanted = [i for i in range(len(orders)) if margin[i] >= level and low <= saved[i] <= high]
     for order, total in zip(orders[wanted].tolist(), np.array(saved)[wanted], strict=True):
         now, within = 0, 0.0
@@ -211,7 +213,7 @@ def test_equal_birds_have_one_order(coupling):
 def test_of_orders_that_differ_by_rounding_only_the_smallest_is_taken(most, monkeypatch):
     # The row between twins can be reversed: neighbours stay neighbours, so U* stays as it is.
     spans = np.array([0.9, 0.91, 1.0, 1.0, 1.1, 1.2])
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", most)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", most)
     first, other = [0.9, 1.0, 1.1, 1.2, 1.0, 0.91], [0.9, 1.0, 1.2, 1.1, 1.0, 0.91]
     speeds = [steady(6, order).balanced_speed[0] for order in (first, other)]
     assert speeds[0] == pytest.approx(speeds[1], abs=1e-15)
@@ -238,7 +240,7 @@ def test_where_none_can_fly_the_closest_is_told(coupling):
 
 @pytest.mark.parametrize("most", [0, 10])
 def test_birds_whose_vortices_would_meet_are_no_neighbours(most, monkeypatch):
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", most)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", most)
     found = arranged("nearest", np.array([0.45, 0.5, 1.2]))
     assert found.orders == 3
     assert found.fastest.order.tolist() == [0.45, 1.2, 0.5]
@@ -247,9 +249,9 @@ def test_birds_whose_vortices_would_meet_are_no_neighbours(most, monkeypatch):
 
 
 def test_a_search_that_gives_up_says_so(monkeypatch):
-    monkeypatch.setattr(arrangement, "MOST_COUNTED", 0)
-    monkeypatch.setattr(arrangement_search, "BUDGET", 3)
-    monkeypatch.setattr(arrangement_search, "MOST_WORK", 9)
+    monkeypatch.setattr(arrange_module, "MOST_COUNTED", 0)
+    monkeypatch.setattr(branch_and_bound, "BUDGET", 3)
+    monkeypatch.setattr(branch_and_bound, "MOST_WORK", 9)
     found = arranged("nearest", spans_of(5))
     assert found.method == "local search"
     assert not found.firmest.proven
@@ -260,8 +262,8 @@ def test_beyond_the_exact_methods_a_local_search_finds_good_orders(monkeypatch):
     for coupling in ("nearest", "all"):
         exact = arranged(coupling, spans)
         with monkeypatch.context() as patched:
-            patched.setattr(arrangement, "MOST_COUNTED", 0)
-            patched.setattr(arrangement, "MOST_STATES", 0)
+            patched.setattr(arrange_module, "MOST_COUNTED", 0)
+            patched.setattr(arrange_module, "MOST_STATES", 0)
             found = arranged(coupling, spans)
             same(found, arranged(coupling, spans[::-1]))
         assert (found.method, found.algorithm, found.flying) == ("local search",) * 2 + (None,)

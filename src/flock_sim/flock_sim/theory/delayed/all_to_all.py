@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steady state of all-to-all coupling in which birds see each other with a constant lag.
 
-As in `delayed_nearest`, each bird sees the others d = U* tau behind their positions. The forces are
+As in `nearest`, each bird sees the others d = U* tau behind their positions. The forces are
 not a gradient, since two birds do not see each other at opposite distances. Multiplied by u / k,
 with u = U*^2, they are
 
