@@ -176,6 +176,15 @@ def test_log_level_and_files_of_a_node_by_hand(terminal: Terminal, level: str, s
     assert ("the flight is over at step 10" in text) == shown
 
 
+def test_a_node_logs_the_error_that_ends_it(terminal: Terminal) -> None:
+    words = ("-p", "birds:=2", "-p", "run_id:=7", "-p", "index:=1")
+    done = terminal.run("bird", "--timeout", 1, "--ros-args", *words)
+    assert done.status == 1
+    reason = done.stderr.rpartition("error: ")[2].strip()
+    (log,) = Path(terminal.environment["ROS_LOG_DIR"]).glob("*.log")
+    assert f"[flock.bird_01]: {reason}" in log.read_text()
+
+
 def test_fly_shows_logs_if_asked(terminal: Terminal) -> None:
     done = terminal.well(
         *("fly", "--birds", 2, "--t-max", 20, "--no-record", "--json"),

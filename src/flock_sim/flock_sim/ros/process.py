@@ -59,10 +59,18 @@ class Process:
 
 @contextmanager
 def executing(kind: str, context: Context) -> Iterator[Executor]:
-    """Yield an executor of this `kind`; its nodes are destroyed at the end."""
+    """Yield an executor of this `kind`; its nodes are destroyed at the end.
+
+    The first node logs a FlockError that ends its process: `ros2 topic echo /rosout` and log files
+    must say why a node is gone.
+    """
     executor = make_executor(kind, context)
     try:
         yield executor
+    except FlockError as error:
+        for node in executor.get_nodes()[:1]:
+            node.get_logger().fatal(str(error))
+        raise
     finally:
         nodes = executor.get_nodes()
         for node in nodes:
