@@ -5,6 +5,7 @@ import base64
 import hashlib
 import html
 import json
+import os
 import re
 import shlex
 import shutil
@@ -40,6 +41,7 @@ from flock_tools.report.decimation import bucket_width, ends, extremes, frame_ro
 from flock_tools.report.html import PAGE, SCRIPTS
 from flock_tools.runs.dataset import load
 from support.flights import flown_rows, record
+from support.hanging import not_hanging
 from support.tool_runs import error_of, json_of, text_of
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>{{ 7 * 7 }}"
@@ -483,3 +485,13 @@ def test_the_scripts_are_javascript(name: str) -> None:
         pytest.skip("there is no node on this machine")
     done = subprocess.run([node, "--check", PAGE / name], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_pipe_beside_the_recording_is_not_waited_for(flight: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "run"
+    shutil.copytree(flight, bag)
+    os.mkfifo(bag / "pipe.mcap")
+    with not_hanging():
+        page = reported(bag, output=tmp_path / "report.html")
+    assert "run_0.mcap" in page.text
+    assert "pipe.mcap" not in page.text

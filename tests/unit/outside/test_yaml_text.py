@@ -10,7 +10,7 @@ import pytest
 
 from flock_sim.errors import FlockError
 from flock_sim.outside import yaml_text
-from flock_sim.outside.yaml_text import parse
+from flock_sim.outside.yaml_text import parse, parse_texts
 
 
 @pytest.mark.parametrize(
@@ -130,3 +130,61 @@ def test_what_the_limits_allow_is_read() -> None:
 def test_a_number_that_never_ends_takes_one_pass() -> None:
     digits = "1" * 1_000_000 + "x"  # a search that goes back takes 10^12 steps
     assert parse(f"a: {digits}") == {"a": digits}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", None),
+        ("a: 1\nb: [yes, ~, 0x1, .nan, '5']", {"a": "1", "b": ["yes", "~", "0x1", ".nan", "5"]}),
+        ("a:\nb: ''", {"a": "", "b": ""}),
+        ("a: 1\na: 2", {"a": "2"}),
+        ("? [a]\n: 1\n? {b: c}\n: 2\nd: 3", {"d": "3"}),
+        ("a: !!int zz\nb: !!python/object:os.system {c: 1}", {"a": "zz", "b": {"c": "1"}}),
+        ("a: &v [1]\nb: *v\nc: {<<: *v}", {"a": ["1"], "b": ["1"], "c": {"<<": ["1"]}}),
+        ("a: 1\n---\nb: 1", {"a": "1"}),
+        ("--- |\n  a\n", "a\n"),
+        ("a: " + "9" * 5000, {"a": "9" * 5000}),
+    ],
+    ids=range(10),
+)
+def test_what_other_programs_write_is_read_as_texts(text: str, found: Any) -> None:
+    assert parse_texts(text) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BOMB, r"^line 6: has more than 500000 values, the limit"),
+        ("[" * 100_000, r"^line 1: is nested too deep; 64 levels are the limit"),
+        (f"a: &a {'[' * 40}{']' * 40}\nb: {'[' * 40}*a{']' * 40}", r"^line 2: is nested too deep"),
+        ("a: &a [*a]", r"^line 1: alias \*a: is in the value that it stands for"),
+        ("[*a]", r"^line 1: alias \*a: there is no such anchor"),
+        ("a: [", r"^not YAML at line 2"),
+        ("a: '\x1b'", r"^not YAML near line 1"),
+    ],
+    ids=range(7),
+)
+def test_texts_have_the_same_limits(text: str, said: str) -> None:
+    with pytest.raises(FlockError, match=said):
+        parse_texts(text)
+
+
+def test_the_number_of_texts_can_have_another_limit() -> None:
+    assert parse_texts("[a, b]", 3) == ["a", "b"]
+    with pytest.raises(FlockError, match="more than 3 values"):
+        parse_texts("[a, b, c]", 3)
+
+
+def test_each_event_of_a_long_file_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A metadata.yaml of many files: the work is counted, since a time is no test.
+    steps: list[int] = []
+    take = yaml_text._Builder._take
+    monkeypatch.setattr(
+        yaml_text._Builder, "_take", lambda self, count: steps.append(count) or take(self, count)
+    )
+    for files in (1000, 2000):
+        steps.clear()
+        text = "files:\n" + "".join(f"  - path: run_{k}.mcap\n" for k in range(files))
+        assert len(parse_texts(text)["files"]) == files
+        assert len(steps) == 3 + 3 * files

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of users, YAML and JSON are read by `flock_sim.outside` only, which has limits."""
+"""Files of users, YAML and JSON are opened and read by `flock_sim.outside` only, within limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ PARSERS = {
 
 OTHERS = {
     "flock_sim/bag/definitions.py": "definitions of messages that are installed",
-    "flock_sim/bag/reading/yaml_tree.py": "YAML of bags, from events, within limits",
     "flock_sim/launcher/fork_server.py": "answers of Flock's own process",
     "flock_sim/launcher/fork_server_process.py": "requests of Flock's own process",
     "flock_sim/launcher/forkable.py": "/proc",
@@ -37,6 +36,21 @@ OTHERS = {
 }
 """The other modules that read or parse, and what it is."""
 
+OPENERS = {
+    "flock_sim/bag/lock.py": "files to be locked; it does not wait for a pipe",
+    "flock_sim/bag/writing/bag_on_disk.py": "metadata.yaml, for writing",
+    "flock_sim/bag/writing/partial_bag.py": "the file that storage.py has opened for writing",
+    "flock_sim/bag/writing/storage.py": "the files of a new or continued bag, for writing",
+    "flock_sim/console/arguments.py": "/dev/null",
+    "flock_sim/console/stdout.py": "/dev/null and the standard streams",
+    "flock_sim/launcher/forked_program.py": "the standard streams",
+    "flock_sim/launcher/supervisor.py": "/dev/null and a pipe of Flock's own",
+    "flock_sim/physics/kernel_cache.py": "kernels that Flock has compiled",
+    "flock_sim/recording/output_directory.py": "the directory of an output",
+    "flock_tools/experiments/sweep/directory.py": "the directory of an output",
+}
+"""The modules that open files by themselves, and what these are."""
+
 
 def reading_calls(source: str) -> Iterator[str]:
     """Yield the calls in a module that read a file or parse a text."""
@@ -49,9 +63,35 @@ def reading_calls(source: str) -> Iterator[str]:
                 yield f"{of.id}.{name}"
 
 
+def opening_calls(source: str) -> Iterator[str]:
+    """Yield the calls in a module that open a file by its path."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            by_path = all(isinstance(each, ast.Constant) for each in node.args)
+            of_path = called.endswith(".open") and by_path  # Path.open, with a mode or without
+            if of_path or called in ("open", "os.open", "os.fdopen", "FileIO", "io.FileIO"):
+                yield called
+
+
 def test_all_calls_are_found() -> None:
     source = "yaml.safe_load(t); json.loads(t); p.read_text(); Path(p).read_bytes(); json.dumps(t)"
     assert set(reading_calls(source)) == {"yaml.safe_load", "json.loads", "read_text", "read_bytes"}
+
+
+def test_all_calls_that_open_are_found() -> None:
+    source = "open(p); os.open(p, 0); p.open(); p.open('rb'); FileIO(p); inbox.open(step)"
+    found = ["open", "os.open", "p.open", "p.open", "FileIO"]
+    assert list(opening_calls(source)) == found
+
+
+def test_only_the_listed_modules_open_files_by_themselves() -> None:
+    found = {
+        "/".join(file.relative_to(SOURCES).parts[1:])
+        for file in SOURCES.rglob("*.py")
+        if "outside" not in file.parts and list(opening_calls(file.read_text(encoding="utf-8")))
+    }
+    assert found == set(OPENERS)
 
 
 def test_only_the_listed_modules_read_files_or_parse_by_themselves() -> None:

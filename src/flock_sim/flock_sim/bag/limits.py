@@ -6,11 +6,6 @@ They are far above those of genuine bags: a bag of 100 GB with a million chunks 
 
 from __future__ import annotations
 
-import os
-import stat
-from io import FileIO
-from pathlib import Path
-
 from flock_sim.errors import FlockError
 
 MIB, GIB = 2**20, 2**30
@@ -51,8 +46,8 @@ LARGEST_METADATA_FILE = 16 * MIB
 LARGEST_PROFILES = MIB
 """Largest text of the QoS profiles of a channel, in bytes: those of 2000 publishers."""
 
-DEEPEST = 32
-"""Deepest nesting of lists and mappings in YAML; rosbag2 nests six."""
+MOST_METADATA_VALUES = 2_000_000
+"""Largest number of values in a metadata.yaml; rosbag2 writes 14 for a file, and 50 for a topic."""
 
 OVERLAP = 2 * GIB
 """Largest size of messages that are kept while they are ordered by time, in bytes."""
@@ -82,17 +77,3 @@ def check(value: int, limit: int, what: str) -> None:
 def beyond(value: int, limit: int, what: str) -> str:
     """Return the words on a number of `what` that is above its limit."""
     return f"{value} {what}, more than the limit of {limit}"
-
-
-def open_file(path: Path) -> FileIO:
-    """Open a regular file for reading. Raises OSError, also for a pipe, a device or a socket."""
-    try:
-        # Without O_NONBLOCK, the call waits for a writer if the file is a named pipe.
-        file = FileIO(path, opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
-    except ValueError as error:  # a null character in the name, or a surrogate
-        raise OSError(0, f"its name is invalid ({error})") from error
-    kind = os.fstat(file.fileno()).st_mode
-    if not stat.S_ISREG(kind):
-        file.close()
-        raise OSError(0, "it is a directory" if stat.S_ISDIR(kind) else "it is not a regular file")
-    return file

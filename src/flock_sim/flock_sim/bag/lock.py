@@ -23,7 +23,8 @@ def is_locked(path: Path) -> bool:
     """Return whether another process has the lock of a file; False if it can't be read."""
     for access in (os.O_RDWR, os.O_RDONLY):  # some file systems lock only files open for writing
         try:
-            fd = os.open(path, access | os.O_CLOEXEC)
+            # Without O_NONBLOCK, the call waits for a writer if the file is a named pipe.
+            fd = os.open(path, access | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError:
             continue
         try:

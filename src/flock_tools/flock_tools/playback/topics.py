@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
-import yaml
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from flock_sim.bag import limits
 from flock_sim.bag.reading.reader import BagReader, Recorded, Stream
-from flock_sim.bag.reading.yaml_tree import yaml_tree
 from flock_sim.errors import FlockError, nearest
+from flock_sim.outside.yaml_text import parse_texts
 from flock_tools.playback.message_types import installed_hash, message_class
 
 DEFAULT_DEPTH = 10
@@ -188,8 +187,8 @@ def recorded_profiles(text: str) -> list[QoSProfile]:
     if len(text) > limits.LARGEST_PROFILES:
         return []
     try:
-        return [_profile(entry) for entry in yaml_tree(text) or ()]
-    except (yaml.YAMLError, TypeError, AttributeError, ValueError):
+        return [_profile(entry) for entry in parse_texts(text) or ()]
+    except (FlockError, TypeError, AttributeError, ValueError):
         return []
 
 

@@ -16,6 +16,7 @@ from flock_sim.analysis.verdict import Verdicts
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import RunFailed
 from flock_sim.outside import json_text
+from flock_sim.outside.regular_file import open_file
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.scaling import Scales, drag_reduction
@@ -273,9 +274,11 @@ def theory(run: Run, metrics: Metrics) -> Theory:
 
 
 def _recordings(path: Path) -> list[Path]:
-    return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if not path.is_dir():
+        return [path]
+    return sorted(file for file in path.glob("*.mcap") if file.is_file())
 
 
 def _file(path: Path) -> tuple[str, int, str]:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return path.name, path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest()

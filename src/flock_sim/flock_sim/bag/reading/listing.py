@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from flock_sim.bag import limits
 from flock_sim.bag.directory import METADATA_FILE, is_recording
 from flock_sim.bag.reading.compression import FORMAT
 from flock_sim.bag.reading.other_formats import SQLITE, conversion, format_of_name
-from flock_sim.bag.reading.yaml_tree import yaml_tree
 from flock_sim.errors import FlockError
+from flock_sim.outside import yaml_text
+from flock_sim.outside.regular_file import read_file
 
 # The list of topics: for hundreds of topics its parsing takes seconds, and the files have it too.
 _TOPICS = re.compile(r"^( +)topics_with_message_count:.*\n(?:\1[ -].*\n|[ \t]*\n)*", re.MULTILINE)
@@ -118,8 +117,7 @@ def _listed(path: Path, information: Mapping[str, Any], found: list[Path]) -> Li
 def _information(directory: Path) -> Mapping[str, Any] | None:
     """Return the content of metadata.yaml except its topics; None if it can't be read."""
     try:
-        with limits.open_file(directory / METADATA_FILE) as file:
-            content = file.read(limits.LARGEST_METADATA_FILE + 1)
+        content = read_file(directory / METADATA_FILE, limits.LARGEST_METADATA_FILE)
         return _parsed(content.decode())
     except (OSError, ValueError):
         return None
@@ -130,8 +128,8 @@ def _parsed(text: str) -> Mapping[str, Any] | None:
     if len(text) > limits.LARGEST_METADATA_FILE:
         return None
     try:
-        document = yaml_tree(_TOPICS.sub("", text))
-    except (ValueError, yaml.YAMLError):
+        document = yaml_text.parse_texts(_TOPICS.sub("", text), limits.MOST_METADATA_VALUES)
+    except FlockError:
         return None
     information = document.get(_INFORMATION) if isinstance(document, dict) else None
     return information if isinstance(information, dict) else None

@@ -30,6 +30,7 @@ from flock_sim.bag.records import (
 )
 from flock_sim.bag.salvage import sound_chunks
 from flock_sim.errors import FlockError
+from flock_sim.outside.regular_file import open_file
 
 _FOREVER = 1 << 64  # ns, above every log time
 
@@ -63,7 +64,7 @@ class McapFile:
         self.path = path
         try:
             # It is read by os.pread. A Python file object closes it after its last use.
-            file = limits.open_file(path)
+            file = open_file(path)
             magic = os.pread(file.fileno(), len(MAGIC), 0)
         except FileNotFoundError as error:
             raise FlockError(f"there is no bag {path}: name a bag directory") from error
