@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,11 @@ from flock_sim.errors import FlockError
 from flock_tools.commands.sweep import tool
 from flock_tools.experiments.sweep import by_reference, specification
 from flock_tools.experiments.sweep.by_reference import fly_by_reference, fly_parts
-from flock_tools.experiments.sweep.dataset import dataset, recorded
+from flock_tools.experiments.sweep.dataset import dataset, layout, recorded
 from flock_tools.experiments.sweep.directory import SweepDirectory
 from flock_tools.experiments.sweep.specification import Sweep, sweep
 from support.flights import record
+from support.hanging import not_hanging
 from support.python_process import python
 from support.tool_runs import error_of
 
@@ -160,6 +162,74 @@ def test_the_tool_continues_a_sweep_of_the_reference_and_no_other(
     assert "sweep.npz can't be read" in notes
     _, told, _ = run(capsys, *command, "--reference", "--force")
     assert json.loads(told)["flights_flown"] == first["flights"]
+
+
+@pytest.mark.parametrize("birds", [1, 2, 3])
+def test_results_have_the_layout_with_which_they_are_read(birds: int) -> None:
+    axes = {"speed[1]": [0.0, 0.01]}
+    asked = sweep({"flock": {"birds": birds, "t_max": 20.0}, "axes": axes})
+    values, _ = fly_parts(asked, asked.parts(250), None, None)
+    flown = {"flown": np.zeros(2, dtype=bool)}
+    found = {name: (array.dtype.type, array.shape) for name, array in (flown | values).items()}
+    assert found == layout(2, birds)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"flown": np.ones(3, dtype=bool)},
+        {"flown": np.ones(2, dtype=object)},
+        {"position": np.zeros((2, 4))},
+        {"speed": np.array([["a"] * 3] * 2, dtype=object)},
+        {"verdict": np.full(2, 100, dtype=np.int8)},
+        {"verdict": np.full(2, -1, dtype=np.int8)},
+        {"other": np.zeros(2)},
+    ],
+    ids=range(7),
+)
+def test_results_that_do_not_fit_are_refused_with_the_remedy(
+    change: dict[str, Any], tmp_path: Path
+) -> None:
+    asked = sweep({"flock": {"birds": 3, "t_max": 20.0}, "axes": {"speed[1]": [0.0, 0.01]}})
+    fly_by_reference(asked, tmp_path)
+    file = tmp_path / "sweep.npz"
+    with np.load(file) as stored:
+        sound = dict(stored)
+    np.savez(file, **sound)
+    assert fly_parts(asked, asked.parts(250), SweepDirectory(tmp_path), None)[1] == []
+    np.savez(file, **(sound | change))
+    with pytest.raises(
+        FlockError, match=r"sweep\.npz can't be read \(.*\): replace the sweep with"
+    ):
+        fly_by_reference(asked, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["directory", "pipe", "truncated", "one array"])
+def test_results_that_are_no_results_are_refused_in_one_line(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "s.yaml", tmp_path / "out"
+    flock = {"birds": 2, "t_max": 20.0}
+    file.write_text(yaml.safe_dump({"flock": flock, "axes": {"speed[1]": [0.0]}}))
+    command = (str(file), "--output", str(out), "--reference")
+    assert run(capsys, *command)[0] == 0
+    results = out / "sweep.npz"
+    content = results.read_bytes()
+    results.unlink()
+    if kind == "directory":
+        results.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(results)
+    elif kind == "truncated":
+        results.write_bytes(content[: len(content) // 2])
+    else:
+        with results.open("wb") as written:
+            np.save(written, np.zeros(3))
+    with not_hanging():
+        status, told, notes = run(capsys, *command)
+    assert (status, told) == (2, "")
+    assert notes.count("error: ") == 1
+    assert "sweep.npz can't be read (" in notes.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

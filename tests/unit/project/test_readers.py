@@ -30,7 +30,6 @@ OTHERS = {
     "flock_sim/ros/discovery.py": "/proc, and package.xml of ROS",
     "flock_sim/ros/fastdds_shutdown.py": "/proc",
     "flock_sim/ros/settings_check.py": "/proc",
-    "flock_tools/experiments/sweep/by_reference.py": "results that Flock has written",
     "flock_tools/report/html.py": "the scripts and styles of the page",
     "flock_tools/scene/foxglove_server.py": "requests of a client; a frame has a limit of size",
 }

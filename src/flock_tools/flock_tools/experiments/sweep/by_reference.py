@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
@@ -23,14 +22,25 @@ import xarray as xr
 
 from flock_sim.analysis.flight_verdict import Flown
 from flock_sim.analysis.time_means import Averaging
+from flock_sim.analysis.verdict import WORDS
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.progress import counter
 from flock_sim.errors import FlockError
 from flock_sim.launcher.precompile import warm_reference
+from flock_sim.outside.array_file import read_arrays
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.recording.own_parts import own_laws, own_link_models
 from flock_sim.reference.integrator import Reference
-from flock_tools.experiments.sweep.dataset import Values, dataset, measured, netcdf, places, put
+from flock_tools.experiments.sweep.dataset import (
+    FLOWN,
+    Values,
+    dataset,
+    layout,
+    measured,
+    netcdf,
+    places,
+    put,
+)
 from flock_tools.experiments.sweep.directory import SweepDirectory
 from flock_tools.experiments.sweep.size import AT_ONCE
 from flock_tools.experiments.sweep.specification import Part, Sweep
@@ -85,7 +95,7 @@ def fly_parts(
 
     Results are saved in `directory`, however the flights end.
     """
-    results = _Results(sweep.size, directory)
+    results = _Results(sweep.size, sweep.flock.birds, directory)
     rest = [part for part in parts if not results.have(part)]
     if rest:
         links = any(not part.configuration.link_table.plain for part in rest)
@@ -191,9 +201,13 @@ def _own(configuration: FlockConfiguration) -> list[tuple[str, str]]:
 
 @dataclass
 class _Results:
-    """The results so far of `size` members, and the file with them."""
+    """The results so far of `size` members, flocks of `birds`, and the file with them.
+
+    Raises FlockError if the file is damaged: all members that it has are then in doubt.
+    """
 
     size: int
+    birds: int
     directory: SweepDirectory | None
     values: Values = field(init=False, default_factory=dict)
     _saved: float = field(init=False, default=-np.inf)
@@ -204,14 +218,15 @@ class _Results:
         if self.directory is None or not self.directory.results.exists():
             return
         try:
-            with np.load(self.directory.results) as stored:
-                values = dict(stored)
-            self.flown = values.pop("flown")
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            self.values = read_arrays(self.directory.results, layout(self.size, self.birds))
+            self.flown = self.values.pop(FLOWN)
+            if not set(np.unique(self.values["verdict"])) <= set(range(len(WORDS))):
+                raise ValueError("a verdict in it is none")
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise FlockError(
-                f"{self.directory.results} can't be read ({error}): replace the sweep with --force"
+                f"{self.directory.results} can't be read ({reason}): replace the sweep with --force"
             ) from error
-        self.values = values
 
     def have(self, part: Part) -> bool:
         """Return whether all members of `part` have been flown."""
@@ -230,6 +245,6 @@ class _Results:
         if self.directory is None or not self.flown.any():
             return
         content = BytesIO()
-        np.savez(content, flown=self.flown, **self.values)  # type: ignore[arg-type]
+        np.savez(content, **{FLOWN: self.flown}, **self.values)  # type: ignore[arg-type]
         self.directory.write(self.directory.results, content.getvalue())
         self._saved = time.monotonic()

@@ -60,6 +60,15 @@ ATTRIBUTES = {
 Values = dict[str, np.ndarray]
 """Results by name: arrays whose first dimension is the member."""
 
+FLOWN = "flown"
+"""Name of the array, beside the results of a sweep, that tells which members have been flown."""
+
+KINDS: dict[str, type[np.generic]] = {
+    **dict.fromkeys(("verdict", "holds", "diverged"), np.int8),
+    **dict.fromkeys(("stalled_bird", "flight", "member"), np.int32),
+}
+"""Types of the results that are not float64."""
+
 
 def dataset(sweep: Sweep, values: Values, command: str) -> xr.Dataset:
     """Return the results of all members, `values`, in the order of the sweep.
@@ -142,6 +151,16 @@ def put(values: Values, size: int, members: Sequence[int], part: Values) -> None
         if name not in values:
             values[name] = np.zeros((size, *array.shape[1:]), array.dtype)
         values[name][list(members)] = array
+
+
+def layout(size: int, birds: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
+    """Return the types and shapes of all results of `size` members, and of FLOWN."""
+    lengths = {"drag_reduction": (birds,), "position": (birds,), "speed": (birds,)}
+    lengths |= {"spacing": (birds - 1,)}
+    single = ("mean_spacing", "spacing") if birds == 1 else ()
+    names = [name for name in ATTRIBUTES if name not in (BIRD, GAP, *single)]
+    found = {name: (KINDS.get(name, np.float64), (size, *lengths.get(name, ()))) for name in names}
+    return {FLOWN: (np.bool_, (size,)), **found}
 
 
 def measured(
