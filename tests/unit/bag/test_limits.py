@@ -154,7 +154,8 @@ def test_the_stated_size_of_a_chunk_is_limited(tmp_path: Path, compression: str,
     with pytest.raises(FlockError) as caught:
         times(path)
     assert str(caught.value).startswith(
-        f"{path} is damaged at byte 8 (it has {size} unpacked bytes, more than the limit of {GIB})"
+        f"{path} is damaged at byte 8 (it has {size} unpacked bytes,"
+        f" more than the limit of {limits.LARGEST_CHUNK})"
     )
 
 
@@ -409,3 +410,126 @@ def test_compressed_messages_that_are_kept_are_limited_unpacked(
         assert len(list(islice(bag.by_time(bag.streams), 100))) == 100
         with pytest.raises(FlockError, match="more than the limit of 1048576"):
             bag.latest(dict.fromkeys(bag.streams, 100), 2**64)
+
+
+READS: dict[str, Callable[[BagReader], object]] = {
+    "messages": lambda bag: list(bag.messages()),
+    "by_time": lambda bag: list(bag.by_time([WORDS])),
+    "latest": lambda bag: bag.latest({WORDS: 1000}, 2**64),
+    "salvage": lambda bag: list(bag.salvage([])),
+}
+
+
+@pytest.mark.parametrize("read", READS)
+def test_what_all_chunks_unpack_to_is_limited_in_each_pass(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: str
+) -> None:
+    packed, count = zstandard.compress(message(7, 10_000)), 40
+    one = chunk(packed, compression="zstd", size=len(message(7, 10_000)))
+    summary = pack(CHANNEL) + statistics(count)
+    first = len(MAGIC) + len(pack(CHANNEL))
+    summary += b"".join(chunk_index(first + k * len(one), len(one)) for k in range(count))
+    path = write(tmp_path / "a.mcap", pack(CHANNEL) + one * count, summary)
+    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
+    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    with BagReader(path) as bag:
+        for _ in range(3):  # the limit is for each pass
+            READS[read](bag)
+        monkeypatch.setattr(limits, "UNPACKED_SIZE", 300_000)
+        with pytest.raises(
+            FlockError,
+            match=r"a\.mcap has \d+ unpacked bytes in its chunks, more than the limit of 300000: ",
+        ):
+            READS[read](bag)
+        monkeypatch.setattr(limits, "UNPACKED_RATIO", 1000)  # a larger file may unpack to more
+        READS[read](bag)
+
+
+def test_the_size_of_a_message_in_a_chunk_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "a.mcap", pack(CHANNEL) + chunk(message(7, 2000)))
+    monkeypatch.setattr(limits, "LARGEST_MESSAGE", 3000)
+    assert times(path) == [7]
+    monkeypatch.setattr(limits, "LARGEST_MESSAGE", 2000)
+    with pytest.raises(FlockError, match=r"a message in it has \d+ bytes, more than the limit"):
+        times(path)
+
+
+def test_what_a_file_without_a_summary_unpacks_to_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without a summary and without indexes of messages, every chunk is read when it is opened.
+    packed = zstandard.compress(message(7, 10_000))
+    one = chunk(packed, compression="zstd", size=len(message(7, 10_000)))
+    path = write(tmp_path / "a.mcap", pack(CHANNEL) + one * 40)
+    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
+    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    assert len(times(path)) == 40
+    monkeypatch.setattr(limits, "UNPACKED_SIZE", 300_000)
+    with pytest.raises(FlockError, match="unpacked bytes in its chunks, more than the limit"):
+        BagReader(path)
+
+
+def test_damaged_chunks_at_the_end_are_unpacked_to_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed = zstandard.compress(message(7, 10_000))
+    torn = chunk(packed, compression="zstd", size=20_000)  # it does not have this size
+    path = write(tmp_path / "a.mcap", pack(CHANNEL) + torn * 40)
+    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
+    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    with pytest.raises(FlockError, match="unpacked bytes in its chunks, more than the limit"):
+        BagReader(path)
+
+
+def calls_of(monkeypatch: pytest.MonkeyPatch, *names: str) -> Callable[[Callable[[], object]], int]:
+    """Return a function that counts the calls of functions of `os` while it calls another one."""
+    calls: list[str] = []
+    for name in names:
+        real = getattr(os, name)
+
+        def counted(*given: object, real: Callable[..., object] = real, **more: object) -> object:
+            calls.append("")
+            return real(*given, **more)
+
+        monkeypatch.setattr(os, name, counted)
+
+    def count(work: Callable[[], object]) -> int:
+        calls.clear()
+        work()
+        return len(calls)
+
+    return count
+
+
+@pytest.mark.parametrize(("indexed", "most"), [(True, 10), (False, 45_000)])
+def test_a_file_of_many_chunks_takes_few_reads_for_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, indexed: bool, most: int
+) -> None:
+    count, first = 10_000, len(MAGIC) + len(pack(CHANNEL))
+    body = pack(CHANNEL) + b"".join(chunk(message(7)) for _ in range(count))
+    length = len(chunk(message(7)))
+    indexes = b"".join(chunk_index(first + k * length, length) for k in range(count))
+    summary = pack(CHANNEL) + statistics(count) + indexes
+    path = write(tmp_path / "a.mcap", body, summary if indexed else None)
+    reads = calls_of(monkeypatch, "pread")
+    assert reads(lambda: BagReader(path)) < most
+    with BagReader(path) as bag:
+        assert reads(lambda: list(bag.messages())) == 2 * count
+        assert reads(lambda: list(bag.by_time([WORDS]))) == 2 * count
+
+
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_a_directory_of_many_other_files_is_listed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_metadata: bool
+) -> None:
+    bag = write_bag(tmp_path / "bag", words(1))
+    if not with_metadata:
+        (bag / "metadata.yaml").unlink()
+    calls = calls_of(monkeypatch, "stat", "lstat", "listdir", "scandir", "open")
+    before = calls(lambda: listing(bag))
+    for number in range(10_000):
+        (bag / f"{number}.txt").touch()
+    assert len(listing(bag).files) == 1
+    assert calls(lambda: listing(bag)) == before

@@ -12,6 +12,7 @@ from mcap.records import Message, Metadata
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
+from flock_sim.bag import limits
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.partial_bag import PartialBag
 from flock_sim.bag.writing.writer import BagWriter
@@ -394,3 +395,18 @@ def test_a_ctrl_c_while_a_chunk_is_written_spoils_nothing(
         with pytest.raises(KeyboardInterrupt):
             write(bag, messages(20, first=40))
     assert_complete_with(tmp_path / "bag", messages(40))
+
+
+def test_a_bag_that_unpacks_to_too_much_is_not_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = writer(tmp_path / "run")
+    write(bag, messages(100))
+    bag.leave()
+    monkeypatch.setattr(limits, "UNPACKED_RATIO", 0)
+    monkeypatch.setattr(limits, "UNPACKED_SIZE", 1000)
+    with pytest.raises(
+        FlockError,
+        match=r"\.mcap has \d+ unpacked bytes in its chunks, more than the limit of 1000",
+    ):
+        writer(tmp_path / "run", resume=True)

@@ -218,8 +218,9 @@ def scanned(fd: int) -> Contents:
     size = os.fstat(fd).st_size
     contents = Contents(whole=len(MAGIC))
     data_end = _walk(fd, size, contents)
-    _drop_damaged_tail(fd, contents)
-    _learn_from_chunks(fd, contents)
+    unpacked = limits.Unpacked(fd)
+    _drop_damaged_tail(fd, contents, unpacked)
+    _learn_from_chunks(fd, contents, unpacked)
     for place in contents.chunks:
         if place.end_time or place.channels:  # a chunk without messages has no times
             contents.meet(place.start_time)
@@ -267,20 +268,20 @@ def _walk(fd: int, size: int, contents: Contents) -> int:
     return size
 
 
-def _drop_damaged_tail(fd: int, contents: Contents) -> None:
+def _drop_damaged_tail(fd: int, contents: Contents, unpacked: limits.Unpacked) -> None:
     """Leave out chunks at the end that were not completely written because of a power cut."""
     while contents.chunks:
         try:
-            read_chunk(fd, contents.chunks[-1])
+            read_chunk(fd, contents.chunks[-1], unpacked)
             return
         except DamagedError:
             contents.whole = contents.chunks.pop().offset
 
 
-def _learn_from_chunks(fd: int, contents: Contents) -> None:
+def _learn_from_chunks(fd: int, contents: Contents, unpacked: limits.Unpacked) -> None:
     """Find definitions that are only in chunks, where most other writers place them."""
     for place in contents.chunks:
         if not place.channels or not place.channels <= contents.channels.keys():
             with suppress(DamagedError):  # reported when its messages are read
-                for opcode, content in records_in(read_chunk(fd, place)):
+                for opcode, content in records_in(read_chunk(fd, place, unpacked)):
                     contents.define(opcode, content)

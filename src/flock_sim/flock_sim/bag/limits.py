@@ -6,15 +6,19 @@ They are far above those of genuine bags: a bag of 100 GB with a million chunks 
 
 from __future__ import annotations
 
+import os
+
 from flock_sim.errors import FlockError
 
 MIB, GIB = 2**20, 2**30
 
-LARGEST_CHUNK = GIB
-"""Largest size of a chunk, packed or unpacked, in bytes; writers end one after some MB."""
+LARGEST_CHUNK = GIB // 2
+"""Largest size of a chunk, packed or unpacked, in bytes; writers end one after some MB. A row of
+states of 501 birds in 10^4 members, which is in one chunk, has 250 MB."""
 
-LARGEST_MESSAGE = GIB
-"""Largest size of a message outside of chunks, and of an unpacked one, in bytes."""
+LARGEST_MESSAGE = GIB // 4
+"""Largest size of a message, packed or unpacked, in bytes. With LARGEST_CHUNK, a tool holds 1 GiB
+at most: a chunk, the message that it works on, and the next one."""
 
 LARGEST_SUMMARY = 2 * 10**9
 """Largest summary, in bytes; 2 * 10^9 is 10^6 chunks with 190 topics each. os.pread reads at most
@@ -49,15 +53,17 @@ LARGEST_PROFILES = MIB
 MOST_METADATA_VALUES = 2_000_000
 """Largest number of values in a metadata.yaml; rosbag2 writes 14 for a file, and 50 for a topic."""
 
-OVERLAP = 2 * GIB
-"""Largest size of messages that are kept while they are ordered by time, in bytes."""
+OVERLAP = GIB // 2
+"""Largest size of messages that are kept at a time, such as while they are ordered by time, in
+bytes."""
 
 MESSAGE_COST = 256
 """Size that is added for each of these messages, in bytes: that of its Python objects."""
 
 UNPACKED_SIZE, UNPACKED_RATIO = GIB, 1000
 """A file that rosbag2 compressed may unpack to this size in bytes, and a larger one to so many
-times its size."""
+times its size. The same holds for all chunks of a file together, each time that they are read:
+otherwise a file of 1 MB can keep a tool busy for hours."""
 
 SEARCHED_SIZE, SEARCHED_RATIO = 4 * GIB, 16
 """Size in bytes of damaged chunks that are unpacked in a search for the next sound one. In a larger
@@ -72,6 +78,19 @@ def check(value: int, limit: int, what: str) -> None:
     """Raise LimitError if `value`, a number of `what`, is above `limit`."""
     if value > limit:
         raise LimitError(f"has {beyond(value, limit, what)}")
+
+
+class Unpacked:
+    """The unpacked size of the chunks of a file that are read in one pass."""
+
+    def __init__(self, fd: int) -> None:
+        self._size = 0
+        self._most = max(UNPACKED_SIZE, UNPACKED_RATIO * os.fstat(fd).st_size)
+
+    def add(self, size: int) -> None:
+        """Add the size of a chunk, in bytes. Raises LimitError if all are too large."""
+        self._size += size
+        check(self._size, self._most, "unpacked bytes in its chunks")
 
 
 def beyond(value: int, limit: int, what: str) -> str:

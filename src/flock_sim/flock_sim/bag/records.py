@@ -94,8 +94,11 @@ def read_content(fd: int, offset: int, length: int) -> bytes:
     return os.pread(fd, length, offset + FRAME.size)
 
 
-def read_chunk(fd: int, place: ChunkPlace) -> bytes:
-    """Read the records of a chunk, decompressed, checked against its CRC; raises DamagedError."""
+def read_chunk(fd: int, place: ChunkPlace, unpacked: limits.Unpacked | None = None) -> bytes:
+    """Read the records of a chunk, decompressed, checked against its CRC; raises DamagedError.
+
+    `unpacked` counts the size of all chunks of a pass; raises LimitError if it becomes too large.
+    """
     frame = read_frame(fd, place.offset)
     if frame != (Opcode.CHUNK, place.length - FRAME.size):
         raise DamagedError("there is no chunk")
@@ -103,6 +106,9 @@ def read_chunk(fd: int, place: ChunkPlace) -> bytes:
     head = _chunk_head(content)
     if head.data_at + head.length > len(content):
         raise DamagedError("its data is cut short")
+    _check_size(head.size, "unpacked bytes")
+    if unpacked is not None:
+        unpacked.add(head.size)
     data = content[head.data_at : head.data_at + head.length]
     body = _decompress(data, head.compression, head.size)
     if head.crc and zlib.crc32(body) != head.crc:
@@ -184,7 +190,6 @@ def _check_size(size: int, what: str = "bytes") -> None:
 
 
 def _decompress(data: bytes, compression: str, size: int) -> bytes:
-    _check_size(size, "unpacked bytes")
     try:
         if compression == "zstd":
             # A damaged frame must not cause an allocation of the size that it states.
@@ -223,6 +228,7 @@ def messages_in(
     """
     position = 0
     size = len(body)
+    largest = limits.LARGEST_MESSAGE
     unpack = MESSAGE.unpack_from
     topic_of = topics.get
     try:
@@ -235,6 +241,8 @@ def messages_in(
             position += FRAME.size + length
             if position > size or data_at > position:
                 raise DamagedError("a message in it is cut short")
+            if length > largest:
+                raise DamagedError(f"a message in it has {limits.beyond(length, largest, 'bytes')}")
             topic = topic_of(channel)
             if topic is not None and start <= log_time < end:
                 yield topic, log_time, body[data_at:position]

@@ -138,20 +138,32 @@ class McapFile:
     ) -> Iterator[Part]:
         since = 0 if start is None else start
         until = _FOREVER if end is None else end
+        unpacked = limits.Unpacked(self._file.fileno())
         for opcode, place in self._places():
             if place.end_time < since or place.start_time >= until:
                 continue
             if place.channels and place.channels.isdisjoint(wanted):
                 continue
             topics = partial(_topics, wanted, place.channels)
-            read = partial(self._read, opcode, place, wanted, since, until)
+            read = partial(self._read, opcode, place, wanted, since, until, unpacked)
             yield Part(place.start_time, place.end_time, place.offset, topics, read)
 
     def _read(
-        self, opcode: int, place: ChunkPlace, wanted: Mapping[int, str], since: int, until: int
+        self,
+        opcode: int,
+        place: ChunkPlace,
+        wanted: Mapping[int, str],
+        since: int,
+        until: int,
+        unpacked: limits.Unpacked,
     ) -> Iterator[Recorded]:
         try:
-            yield from messages_in(self._body(opcode, place), wanted, since, until)
+            yield from messages_in(self._body(opcode, place, unpacked), wanted, since, until)
+        except limits.LimitError as error:
+            raise FlockError(
+                f"{self.path} {error}: take another copy of the bag, or write it without"
+                " compression with ros2 bag convert"
+            ) from error
         except DamagedError as error:
             raise FlockError(
                 f"{self.path} is damaged at byte {place.offset} ({error}):"
@@ -176,7 +188,9 @@ class McapFile:
 
     def _salvaged(self, broken: list[str], cut: list[str] | None) -> Iterator[Recorded]:
         fd = self._file.fileno()
+        unpacked = limits.Unpacked(fd)
         for chunk in sound_chunks(fd, len(MAGIC)):
+            unpacked.add(len(chunk.body))
             # `missing` reports a torn end.
             torn = chunk.damage is not None and not (chunk.body or has_end(fd))
             if chunk.damage is not None and not torn:
@@ -203,9 +217,11 @@ class McapFile:
 
     def _salvaged_loose(self, broken: list[str]) -> Iterator[Recorded]:
         """Salvage a file with messages outside of chunks, which look the same as damage."""
+        unpacked = limits.Unpacked(self._file.fileno())
         for opcode, place in self._places():
             try:
-                yield from messages_in(self._body(opcode, place), self._topic_of, 0, _FOREVER)
+                body = self._body(opcode, place, unpacked)
+                yield from messages_in(body, self._topic_of, 0, _FOREVER)
             except DamagedError:
                 broken.append(f"{self.path} is damaged at byte {place.offset}")
 
@@ -253,10 +269,10 @@ class McapFile:
             end, channels = start, frozenset([channel])
         return ChunkPlace(offset, FRAME.size + length, start, end, channels)
 
-    def _body(self, opcode: int, place: ChunkPlace) -> bytes:
+    def _body(self, opcode: int, place: ChunkPlace, unpacked: limits.Unpacked) -> bytes:
         fd = self._file.fileno()
         if opcode == Opcode.CHUNK:
-            return read_chunk(fd, place)
+            return read_chunk(fd, place, unpacked)
         length = place.length - FRAME.size
         return FRAME.pack(opcode, length) + read_content(fd, place.offset, length)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 SQLITE, ROS1 = "an SQLite bag of rosbag2", "a bag of ROS 1"
@@ -14,7 +15,7 @@ _MAGICS = {b"SQLite f": SQLITE, b"#ROSBAG ": ROS1}
 
 def format_of_name(name: str) -> str | None:
     """Return what a file of this name is, if it is a bag in another format."""
-    return _SUFFIXES.get(Path(name).suffix)
+    return _SUFFIXES.get(os.path.splitext(name)[1])
 
 
 def format_of_content(magic: bytes) -> str | None:

@@ -14,7 +14,7 @@ from flock_sim.bag.chunk import CHUNK_HEAD, fits, summarise
 from flock_sim.bag.directory import NEW_FILE, is_recording
 from flock_sim.bag.file_sections import Written
 from flock_sim.bag.index import has_end
-from flock_sim.bag.limits import LARGEST_DEFINITION
+from flock_sim.bag.limits import LARGEST_DEFINITION, LimitError, Unpacked
 from flock_sim.bag.reading.compression import FORMAT
 from flock_sim.bag.records import (
     FRAME,
@@ -94,7 +94,13 @@ class PartialBag:
             )
         self.has_head = found == head
         found_chunks, self._notes = _walk(path, len(head)) if self.has_head else ([], [])
-        self.chunks = list(takewhile(self._is_sound, found_chunks))
+        unpacked = Unpacked(fd)
+        try:
+            self.chunks = list(
+                takewhile(lambda extent: self._is_sound(extent, unpacked), found_chunks)
+            )
+        except LimitError as error:
+            raise FlockError(f"{path} {error}: it can't be continued") from error
         self.damage = self._damage() if self.has_head else None
 
     def _damage(self) -> int | None:
@@ -140,9 +146,9 @@ class PartialBag:
                 written.add_metadata(record, offset, end - offset)
         return Kept(written, size, crc_of(self.fd, size))
 
-    def _body(self, extent: Extent) -> bytes:
+    def _body(self, extent: Extent, unpacked: Unpacked | None = None) -> bytes:
         place = ChunkPlace(extent.offset, extent.length, 0, 0, frozenset())
-        return read_chunk(self.fd, place)
+        return read_chunk(self.fd, place, unpacked)
 
     def _surroundings(self, extent: Extent) -> tuple[bytes, bytes]:
         """Read the head of a chunk and the message indexes that follow it."""
@@ -152,10 +158,10 @@ class PartialBag:
             os.pread(self.fd, extent.end - indexes_at, indexes_at),
         )
 
-    def _is_sound(self, extent: Extent) -> bool:
+    def _is_sound(self, extent: Extent, unpacked: Unpacked) -> bool:
         """Whether a chunk is undamaged and has the head and message indexes of `BagWriter`."""
         try:
-            body = self._body(extent)
+            body = self._body(extent, unpacked)
         except DamagedError:
             return False
         return fits(body, *self._surroundings(extent), extent.length - CHUNK_HEAD)
