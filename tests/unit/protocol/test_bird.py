@@ -362,6 +362,17 @@ def test_a_clock_of_another_flight_is_refused_by_name():
         )
 
 
+@pytest.mark.parametrize("change", [{"run_id": 0}, {"epoch": 0}, {"dt": 0.5}, {"dt": np.nan}])
+def test_a_grant_that_no_clock_sends_changes_nothing(change):
+    configuration = configured()
+    bird = BirdProtocol(2, configuration)
+    terms = handshake(configuration)
+    assert bird.receive_grant(grant(0, configuration, terms=terms, **change)) == []
+    assert bird.ignored == 1
+    assert bird.run_id == 0
+    assert of(Channel.WING, bird.receive_grant(grant(0, configuration, terms=terms)))
+
+
 def test_a_neighbour_of_another_flock_is_counted_and_waited_for():
     # It is the clock's terms that refuse it, by name; its wing may come before it hears them.
     configuration = configured()

@@ -16,6 +16,7 @@ from flock_sim.messages.epochs import REACH, ahead
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import STALE
 from flock_sim.messages.types import Grant, Progress, Time
+from flock_sim.protocol.attendance import MOST_INCARNATIONS, Attendance
 from flock_sim.protocol.clock import ABSENT, Timekeeper, new_run_id
 
 RUN = 7
@@ -305,3 +306,12 @@ def test_a_push_is_told_when_it_can_be() -> None:
     keeper.stop()
     assert "too late" in pushed(keeper, 0)
     assert "up to step 4, where the flight ends" in pushed(keeper, 20)
+
+
+def test_incarnations_of_a_node_are_remembered_up_to_a_number() -> None:
+    nodes = Attendance(BIRDS, record=False)
+    for incarnation in range(3 * MOST_INCARNATIONS):
+        nodes.know("bird_01", 0)  # the genuine one, which reports again and again
+        nodes.know("bird_01", incarnation)
+    assert len(nodes._incarnations["bird_01"]) == MOST_INCARNATIONS
+    assert not nodes.is_new("bird_01", 0)

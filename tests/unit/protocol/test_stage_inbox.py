@@ -10,6 +10,7 @@ from flock_sim.messages.rejection import (
     AGAIN,
     FOREIGN,
     IMPOSSIBLE,
+    MALFORMED,
     MISSHAPEN,
     REPEATED,
     STALE,
@@ -65,6 +66,25 @@ def test_what_no_bird_can_have_at_the_start_does_not_keep_out_what_comes() -> No
     assert box.take(stage(1, 0, speed=np.nan)) == IMPOSSIBLE
     assert box.take(stage(1, 0)) == ""
     box.open(0)
+    assert box.lacking == [3]
+
+
+def broken(genuine: bytes) -> list[bytes]:
+    """Malformed messages of the right size with the right header."""
+    encapsulation = genuine[:1] + b"\0" + genuine[2:]
+    lengths = [genuine[:at] + b"\xff" + genuine[at + 1 :] for at in (44, 60)]  # of later sequences
+    return [encapsulation, *lengths]
+
+
+@pytest.mark.parametrize("tick", [None, 40])
+def test_a_malformed_stage_does_not_take_the_place_of_the_genuine_one(tick: int | None) -> None:
+    box = inbox(tick)
+    genuine = stage(1, 40)
+    for malformed in broken(genuine):
+        assert box.take(malformed) == MALFORMED
+    assert box.take(genuine) == ""
+    if tick is None:
+        box.open(40)
     assert box.lacking == [3]
 
 

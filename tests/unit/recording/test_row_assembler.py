@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.launcher.reference_flight import row
-from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.stage_layout import HEADER, stage_bytes, stage_words
-from flock_sim.messages.types import Memory, State, Time
+from flock_sim.messages.topics import rows_ahead
+from flock_sim.messages.types import Memory, State, Time, Wing
 from flock_sim.physics.runge_kutta import STAGES
-from flock_sim.recording.row_assembler import Row, RowAssembler
+from flock_sim.recording.row_assembler import MOST_AHEAD, Row, RowAssembler
 from flock_sim.reference.integrator import Reference
 
 CONFIGURATION = FlockConfiguration(birds=3, t_max=11.0, record_every=4)
@@ -155,11 +156,61 @@ def test_what_is_not_due_is_left_out_and_counted_if_it_has_a_run() -> None:
 
 def test_a_first_wing_is_not_replaced() -> None:
     assembler = new_ledger()
-    for bird in BIRDS:
-        assembler.add_wing(bird, b"first")
-        assembler.add_wing(bird, b"second")
+    wings = {bird: Wing(RUN, bird, np.ones(1)) for bird in BIRDS}
+    for bird, wing in wings.items():
+        assembler.add_wing(bird, wing.encode())
+        assembler.add_wing(bird, replace(wing, span_ratio=np.full(1, 0.9)).encode())
     rows = [out for k in letters(stages=False) if k[0] != "wing" for out in give(assembler, k)]
-    assert rows[0].wings == [b"first"] * 3
+    assert rows[0].wings == [wing.encode() for wing in wings.values()]
+
+
+def test_bytes_after_a_message_are_not_recorded() -> None:
+    assembler = new_ledger()
+    kinds = ("wing", "time")
+    sent = [(k, b, data + b"more" if k in kinds else data) for k, b, data in letters(stages=False)]
+    assert [out for letter in sent for out in give(assembler, letter)] == expected(stages=False)
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        stage(2, 0, 0),  # on the topic of bird 1
+        stage(1, 0, 4),
+        stage(1, 0, 255),
+        b"\0\0" + stage(1, 0, 0)[2:],
+        stage(1, 0, 0)[:-1],
+        stage(1, 0, 0) + bytes(8),
+        stage(1, 0, 0)[:44] + b"\xff" + stage(1, 0, 0)[45:],  # length of the speeds
+    ],
+)
+def test_an_impossible_stage_completes_no_row(forged: bytes) -> None:
+    assembler = new_ledger(stages=True)
+    assembler.add_stage(1, forged)
+    assert assembler.ignored == 1
+    rows = [out for letter in letters(stages=True) for out in give(assembler, letter)]
+    assert rows == expected(stages=True)
+
+
+def test_a_state_with_the_time_of_another_step_is_ignored() -> None:
+    assembler = new_ledger()
+    for letter in letters(stages=False):
+        if letter[0] == "state":
+            state = State.decode(letter[2])
+            for time in (state.time + 1.0, np.nan, 1e300):
+                assert give(assembler, (*letter[:2], replace(state, time=time).encode())) == []
+    assert assembler.ignored_for == {IMPOSSIBLE: 27}
+
+
+def test_rows_far_ahead_are_not_kept() -> None:
+    flown = FlockConfiguration(birds=1, t_max=1e6, record_every=1)
+    assembler = RowAssembler(flown)
+    assembler.begin(RUN, EPOCH)
+    for step in range(20_000):
+        assembler.add_time(Time.at(flown.stamp(step)).encode())
+    assert len(assembler._rows) <= MOST_AHEAD * rows_ahead(flown) + 1
+    state = State.at(flown, 20_000, *np.ones((6, 1)), run_id=RUN, epoch=EPOCH)
+    assert assembler.add_state(1, state.encode()) == []
+    assert assembler.ignored_for == {REPEATED: 1}
 
 
 def test_memory_does_not_grow_with_the_flight() -> None:

@@ -38,14 +38,28 @@ def stage_words(members: int) -> int:
     return FIRST_WORD + SEQUENCES * (members + 1) - 1
 
 
+def has_layout(data: bytes, members: int) -> bool:
+    """Return whether `data` has the size, the encapsulation and the lengths of a stage."""
+    length = struct.pack("<I", members)
+    return (
+        len(data) == WORD * stage_words(members) - BEFORE
+        and data.startswith(ENCAPSULATION)
+        and all(data.startswith(length, at) for at in _lengths_at(members))
+    )
+
+
+def _lengths_at(members: int) -> list[int]:
+    """Return the offsets of the lengths of the sequences in a message, in bytes."""
+    first = HEADER_END - 4  # the header ends with the first
+    return [first, *(HEADER_END + WORD * (k * (members + 1) - 1) for k in range(1, SEQUENCES))]
+
+
 def stage_bytes(words: FloatArray, members: int) -> memoryview:
     """Return `words`, shape (stage_words(members),), as the bytes of a stage message."""
     data = words.data.cast("B")[BEFORE:]
     data[:HEADER_AT] = ENCAPSULATION
     length = struct.pack("<I", members)
-    data[HEADER_END - len(length) : HEADER_END] = length  # the header ends with the first
-    for sequence in range(1, SEQUENCES):
-        at = HEADER_END + WORD * (sequence * (members + 1) - 1)
+    for at in _lengths_at(members):
         data[at : at + len(length)] = length
     return data
 

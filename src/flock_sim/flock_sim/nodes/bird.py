@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, TypeVar
 
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 
 REPORTS = latched(1000)
 """QoS of the reports to the clock. One publisher sends those of all birds of a process."""
+
+LOOK_EVERY = 1.0
+"""Time between looks at the wings in flight, in s: no bird sends one then, but others may."""
 
 FETCHED = (Channel.STATE, Channel.MEMORY, Channel.AGES)
 """Channels for the recorder and other listeners. No bird waits for their messages."""
@@ -102,6 +106,7 @@ class BirdNode(DrainedNode):
             other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
+        self._look_at = 0.0  # monotonic time of the next look at the wings in flight, in s
         self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
         self._rejection_warnings = RejectionWarnings(
             self, self.protocol.ignored_for, self.told, logger=first or self
@@ -118,14 +123,15 @@ class BirdNode(DrainedNode):
         return self._take_missing()
 
     def drain_rare(self) -> bool:
-        """Take all other messages: stages not waited for, and wings before the flight."""
+        """Take all other messages: stages not waited for, and wings."""
         if self._exchange and self._lockstep.on_fast_path:
             moved = self._after(self._exchange.look_through)
         else:
             moved = self._take_all_stages()
         if self._exchange:
             self._lockstep.count_foreign()
-        if not self.protocol.in_flight:
+        if not self.protocol.in_flight or time.monotonic() >= self._look_at:
+            self._look_at = time.monotonic() + LOOK_EVERY
             for inlet in self._wings.values():
                 while (data := inlet.take()) is not None:
                     moved |= self.hear(messages.Wing, self.protocol.receive_wing, data)

@@ -24,6 +24,7 @@ from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import NEVER
 from flock_sim.messages.handshake import check_handshake
+from flock_sim.messages.rejection import REPEATED
 from flock_sim.nodes.own_birds import announced
 from flock_sim.protocol.requests import refuses_push
 from flock_sim.recording.flight_writer import Recording, recording
@@ -129,8 +130,9 @@ class PlayedRecorderNode(DrainedNode):
         return self.assembler.add_wing(bird, data)
 
     def _hear_state(self, bird: int, data: bytes) -> list[Row]:
+        refused = self._refused
         rows = self.assembler.add_state(bird, data)
-        if messages.State.envelope(data) == (0, 0):  # otherwise it belongs to a flight in progress
+        if self._refused == refused:  # otherwise it belongs to a flight in progress, or is invalid
             step, every = messages.State.step_of(data), self._configuration.record_every
             last = self._heard.get(bird, -every)
             if step > last + every:
@@ -141,6 +143,11 @@ class PlayedRecorderNode(DrainedNode):
                 )
             self._heard[bird] = max(step, last)
         return rows
+
+    @property
+    def _refused(self) -> int:
+        """Number of messages that can't be of this flight, whatever their step."""
+        return self.assembler.ignored - self.assembler.ignored_for[REPEATED]
 
 
 def check_played(operation: Mapping[str, Any]) -> None:

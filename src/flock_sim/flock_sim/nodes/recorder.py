@@ -15,11 +15,10 @@ from rclpy.executors import Executor
 from flock_interfaces.msg import Checkpoint, Grant, Perturbation, Progress
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.signals import Stop
-from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
 from flock_sim.messages.epochs import NEVER, in_order, out_of_date
-from flock_sim.messages.rejection import FOREIGN, MALFORMED, STALE
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, STALE
 from flock_sim.nodes.own_birds import announced
 from flock_sim.nodes.requested_pushes import RequestedPushes
 from flock_sim.nodes.row_topics import RowTopics
@@ -200,7 +199,7 @@ class RecorderNode(DrainedNode):
         self.assembler.end_at(grant.end)
         if grant.step > self._granted and not self.assembler.complete:
             self._granted = grant.step
-            self._run.write_grant(data)
+            self._run.write_grant(grant.encode())
             if new:
                 self._save()  # a later recorder must know the epoch
 
@@ -275,11 +274,8 @@ class RecorderNode(DrainedNode):
             self.assembler.ignored_for[FOREIGN] += 1
             return []
         if not np.array_equal(wing.span_ratio, self._configuration.span_ratio[bird - 1]):
-            raise FlockError(
-                f"{topics.bird_name(bird)} flies with span ratio {wing.span_ratio} and the "
-                f"recorder has {self._configuration.span_ratio[bird - 1]}: give both the same "
-                "configuration"
-            )
+            self.assembler.ignored_for[IMPOSSIBLE] += 1  # birds of this run agree with the clock
+            return []
         return self.assembler.add_wing(bird, data)
 
     def _write(self, rows: list[Row]) -> None:

@@ -14,6 +14,9 @@ ABSENT = -2
 heard its neighbours, or of a recorder that has reported but has recorded nothing."""
 
 
+MOST_INCARNATIONS = 10_000
+"""Most incarnations of a node that are remembered: those of its last reports."""
+
 MOST_DOUBTED = 100_000
 """Most reports that are remembered until they are repeated."""
 
@@ -25,8 +28,8 @@ class Attendance:
         """Expect reports of `birds` and, with `record`, of the recorder."""
         self.recorded = record
         self._birds = tuple(birds)
-        self._incarnations: dict[str, set[int]] = {
-            name: set() for name in [*self._birds, *([RECORDER] if record else [])]
+        self._incarnations: dict[str, dict[int, None]] = {
+            name: {} for name in [*self._birds, *([RECORDER] if record else [])]
         }
         self._doubted: set[tuple[str, int, int]] = set()  # reports received once
         self.begin_epoch()
@@ -49,8 +52,12 @@ class Attendance:
         return bool(known) and incarnation not in known
 
     def know(self, who: str, incarnation: int) -> None:
-        """Remember the incarnation of a node."""
-        self._incarnations[who].add(incarnation)
+        """Remember the incarnation of a node, as the last one that reported."""
+        known = self._incarnations[who]
+        known.pop(incarnation, None)
+        known[incarnation] = None
+        if len(known) > MOST_INCARNATIONS:
+            del known[next(iter(known))]
 
     def reach(self, who: str, step: int) -> bool:
         """Take a report; return whether the node has moved."""

@@ -63,8 +63,10 @@ class Session:
 
     def refuses(self, run_id: int, epoch: int) -> str:
         """Return why a message of this run and epoch has no effect, or ""."""
-        if self.run_id not in (0, run_id):
+        if run_id == 0 or self.run_id not in (0, run_id):
             return FOREIGN
+        if epoch == 0:
+            return IMPOSSIBLE
         return STALE if out_of_date(epoch, self.epoch) else ""
 
     def refuses_grant(self, grant: Grant) -> str:
@@ -85,6 +87,8 @@ class Session:
                 reason = FOREIGN
             if reason:
                 return reason
+        if grant.dt != self._configuration.dt:
+            return IMPOSSIBLE
         if grant.end > self._configuration.steps or grant.step > grant.end + 1:
             return REPEATED
         if reason := self._refuses_jump(grant.epoch):

@@ -17,6 +17,7 @@ from flock_sim.messages.rejection import (
     AGAIN,
     FOREIGN,
     IMPOSSIBLE,
+    MALFORMED,
     MISSHAPEN,
     REPEATED,
     STALE,
@@ -27,6 +28,7 @@ from flock_sim.messages.stage_layout import (
     HEADER_AT,
     HEADER_END,
     WORD,
+    has_layout,
     stage_words,
 )
 from flock_sim.messages.types import Stage
@@ -35,6 +37,7 @@ from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.stage_words import (
     ANY,
     BIRD,
+    BROKEN,
     EACH,
     EPOCH,
     EXCHANGE,
@@ -151,8 +154,8 @@ class StageInbox:
     def take(self, data: bytes) -> str:
         """Take a message in serialised form; return why it is ignored, or ""."""
         outcome = self._accept(data)
-        if outcome == NOT_FINITE:
-            return IMPOSSIBLE
+        if outcome in (NOT_FINITE, BROKEN):
+            return IMPOSSIBLE if outcome == NOT_FINITE else MALFORMED
         return "" if outcome == TAKEN else self._refused(data)
 
     def _accept(self, data: bytes) -> int:
@@ -173,6 +176,8 @@ class StageInbox:
             return STRANGE
         if members != self.word[MEMBERS]:
             return MISSHAPEN
+        if not has_layout(data, members):
+            return MALFORMED
         later = ahead(epoch, self._epoch)
         if later < 0:
             return STALE

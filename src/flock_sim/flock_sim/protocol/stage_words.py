@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from flock_sim.messages.cdr import ENCAPSULATION
 from flock_sim.messages.stage_layout import (
     BEFORE,
     FIRST_WORD,
     HEADER_AT,
+    HEADER_END,
     HEADER_WORD,
     HEADER_WORDS,
+    SEQUENCES,
     WORD,
 )
 from flock_sim.physics.arrays import IntArray
@@ -51,7 +54,9 @@ FIRST = HEADER + HEADER_WORDS
 NAME, SUBSCRIPTION, HERE = range(3)
 EACH = 4
 
-TAKEN, NOT_AWAITED, OTHER_RUN, NOT_FINITE = range(4)
+LITTLE_ENDIAN = int.from_bytes(ENCAPSULATION, "little")
+
+TAKEN, NOT_AWAITED, OTHER_RUN, NOT_FINITE, BROKEN = range(5)
 """Outcomes of `accept`."""
 
 ANY = -1
@@ -113,6 +118,8 @@ def accept(words: IntArray, neighbour: int, address: int, size: int) -> int:
                 header, words[RUN_ID], tick, words[EPOCH], words[at + NAME], words[MEMBERS]
             ):
                 continue
+            if not _is_stage(address, size, words[MEMBERS]):
+                return BROKEN
             place = row(words, HEARD, side * words[NEIGHBOURS] + k)
             copy(place + BEFORE, address, size)
             count = (BEFORE + size) // WORD
@@ -123,6 +130,18 @@ def accept(words: IntArray, neighbour: int, address: int, size: int) -> int:
             words[LACKING + side] -= 1
             return TAKEN
     return NOT_AWAITED
+
+
+@kernel
+def _is_stage(address: int, size: int, members: int) -> bool:
+    """Whether a message with the right header has the encapsulation and lengths of a stage."""
+    parts = numba.carray(pointer(address), size // 4, np.int32)
+    if parts[0] != LITTLE_ENDIAN:
+        return False
+    for sequence in range(1, SEQUENCES):
+        if parts[(HEADER_END + WORD * (sequence * (members + 1) - 1)) // 4] != members:
+            return False
+    return True
 
 
 @kernel

@@ -6,7 +6,8 @@ since the previous row (if stages are recorded), the time, the state of every bi
 of each bird that has one, or in a free flight the ages. Each row goes out once, so the content of
 the bag does not depend on the order in which messages arrive.
 
-Received states carry their run id and epoch; in the bag both are 0.
+Received states carry their run id and epoch; in the bag both are 0. Bytes after the last field of a
+message are left out.
 """
 
 from __future__ import annotations
@@ -15,10 +16,17 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.messages.rejection import FOREIGN, MISSHAPEN, REPEATED, STALE
-from flock_sim.messages.state_layout import Layout, compact, layout_of
-from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
+from flock_sim.messages.stage_layout import has_layout
+from flock_sim.messages.state_layout import Layout, compact, layout_of, times_of
+from flock_sim.messages.topics import rows_ahead
+from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time, Wing
+from flock_sim.physics import formation
 from flock_sim.physics.runge_kutta import STAGES
+
+MOST_AHEAD = 16
+"""Largest number of rows that are assembled at once, over that of a flock in order (`rows_ahead`).
+A played flight has no such limit."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class RowAssembler:
         remembers = configuration.link_table.remembers
         self._remember = [bird for bird in self._birds if not (free or played) and remembers(bird)]
         self._tell_ages = len(self._birds) if free else 0
+        rows = None if played else MOST_AHEAD * rows_ahead(configuration)
+        self._ahead = configuration.steps if rows is None else rows * self._every
         self._members = configuration.members
         # A played flight may have laws that this process does not have.
         self._numbers = None if played else configuration.forcing_table.states
@@ -140,7 +150,10 @@ class RowAssembler:
 
     def add_wing(self, bird: int, data: bytes) -> list[Row]:
         """Take the BirdWing of `bird`; return the rows that are complete with it."""
-        self._wings.setdefault(bird, data)
+        wing = Wing.decode(data)
+        if wing.bird != bird:
+            return self._ignore(IMPOSSIBLE)
+        self._wings.setdefault(bird, wing.encode())
         return self._complete()
 
     def add_state(self, bird: int, data: bytes) -> list[Row]:
@@ -154,7 +167,10 @@ class RowAssembler:
         run = State.envelope(data)
         if run != self._run:
             return self._ignore_run(run)
-        return self._take(State, State.step_of(data), bird, State.opened(data))
+        step, (time,) = State.step_of(data), times_of([data])
+        if not abs(time - self._configuration.time(step)) < self._configuration.dt:
+            return self._ignore(IMPOSSIBLE)
+        return self._take(State, step, bird, State.opened(data))
 
     def add_memory(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdMemory of `bird`; return the rows that are complete with it."""
@@ -165,7 +181,7 @@ class RowAssembler:
         size = self._configuration.link_table.remembers(bird) * self._configuration.members
         if len(memory.data) != size:
             return self._ignore(MISSHAPEN)
-        return self._take(Memory, memory.step, bird, data)
+        return self._take(Memory, memory.step, bird, memory.encode(), memory.bird)
 
     def add_ages(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdAges of `bird`; return the rows that are complete with it."""
@@ -173,27 +189,37 @@ class RowAssembler:
         run = ages.run_id, ages.epoch
         if run != self._run:
             return self._ignore_run(run)
-        return self._take(Ages, ages.step, bird, data)
+        configuration = self._configuration
+        heard = formation.neighbours(bird, configuration.birds, configuration.coupling)
+        if any(len(values) != len(heard) for values in (ages.age, ages.age_max, ages.behind)):
+            return self._ignore(MISSHAPEN)
+        return self._take(Ages, ages.step, bird, ages.encode(), ages.bird)
 
     def add_time(self, data: bytes) -> list[Row]:
         """Take a message of /clock; return the rows that are complete with it."""
-        stamp = Time.decode(data).stamp
+        time = Time.decode(data)
+        stamp = time.stamp
         row_of_time = self._every * self._configuration.dt * self._configuration.second * 1e9
         step = round(stamp / row_of_time) * self._every
         if not self._due(step) or self._configuration.stamp(step) != stamp:
             return []  # a step in between, or the time of another flight: it has no run id
-        self._rows[step].time = data
+        self._rows[step].time = time.encode()
         return self._complete()
 
     def add_stage(self, bird: int, data: bytes) -> list[Row]:
         """Take a BirdStage of `bird`; return the rows that are complete with it."""
-        run_id, step, epoch, _, stage, _ = Stage.header(data)
+        run_id, step, epoch, sender, stage, _ = Stage.header(data)
         if (run_id, epoch) != self._run:
             return self._ignore_run((run_id, epoch))
+        if not has_layout(data, self._members):
+            return self._ignore(MISSHAPEN)
+        schedule, tick = self._configuration.link_table.exchange_schedule, STAGES * step + stage
+        if sender != bird or stage >= STAGES or not schedule.due(tick):
+            return self._ignore(IMPOSSIBLE)
         row = step - step % self._every + self._every
         if not self._due(row):
             return self._ignore(REPEATED) if row <= self._last else []
-        self._rows[row].stages[STAGES * step + stage, bird] = data
+        self._rows[row].stages[tick, bird] = data
         return self._complete()
 
     def _fits(self, layout: Layout) -> bool:
@@ -214,8 +240,15 @@ class RowAssembler:
         """Ignore a message of `run`, its run id and its epoch."""
         return self._ignore(STALE if run[0] == self._run[0] else FOREIGN)
 
-    def _take(self, kind: type[Message], step: int, bird: int, data: bytes) -> list[Row]:
-        """Take a message of which a row has one per bird; return the rows that are complete."""
+    def _take(
+        self, kind: type[Message], step: int, bird: int, data: bytes, sender: int | None = None
+    ) -> list[Row]:
+        """Take a message of which a row has one per bird; return the rows that are complete.
+
+        `sender` is the bird that the message names, if it names one.
+        """
+        if sender not in (None, bird):
+            return self._ignore(IMPOSSIBLE)
         taken = self._rows[step].of[kind] if self._due(step) else None
         if taken is None or bird in taken:
             return self._ignore(REPEATED)
@@ -223,7 +256,8 @@ class RowAssembler:
         return self._complete()
 
     def _due(self, step: int) -> bool:
-        return step % self._every == 0 and self._next <= step <= self._last
+        last = min(self._last, self._next + self._ahead)
+        return step % self._every == 0 and self._next <= step <= last
 
     def _complete(self) -> list[Row]:
         rows = []
