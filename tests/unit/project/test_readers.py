@@ -31,7 +31,6 @@ OTHERS = {
     "flock_sim/ros/fastdds_shutdown.py": "/proc",
     "flock_sim/ros/settings_check.py": "/proc",
     "flock_tools/report/html.py": "the scripts and styles of the page",
-    "flock_tools/scene/foxglove_server.py": "requests of a client; a frame has a limit of size",
 }
 """The other modules that read or parse, and what it is."""
 

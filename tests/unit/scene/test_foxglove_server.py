@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from itertools import count
 
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from flock_tools.commands.view import MOST_REFUSALS, _refusals
-from flock_tools.scene.foxglove_server import FoxgloveServer
+from flock_tools.scene.foxglove_server import MOST_SUBSCRIPTIONS, FoxgloveServer
 
 TYPES = {"/words": "sensor_msgs/msg/Image", "/tf": "tf2_msgs/msg/TFMessage"}
 APP = "https://app.foxglove.dev"
@@ -133,6 +133,70 @@ def test_clients_hear_what_they_have_subscribed_to(served: Served) -> None:
         while until_told(one) != struct.pack("<BQ", 2, 0):
             pass
         ask(one, "unsubscribe", subscriptionIds=[7])
+
+
+HOSTILE = {
+    "nested deep": 100_000 * "[",
+    "objects nested deep": 100_000 * '{"op":',
+    "a long number": f'{{"op": "subscribe", "subscriptions": [{9000 * "9"}]}}',
+    "not JSON": "subscribe",
+    "no object": "7",
+    "no operation": "{}",
+    "an operation that is no text": '{"op": {"subscribe": []}}',
+    "an unknown operation": '{"op": "advertise\\u001b[2J", "channels": []}',
+    "no list": '{"op": "subscribe", "subscriptions": 5}',
+    "a negative id": '{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+    "a Boolean id": '{"op": "subscribe", "subscriptions": [{"id": true, "channelId": 1}]}',
+    "no such channel": '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 99}]}',
+    "infinite": '{"op": "unsubscribe", "subscriptionIds": [1e999]}',
+    "binary": b"\x01\0\0\0\0",
+    "empty": "",
+    "a surrogate": '{"op": "\\ud800"}',
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_request_is_answered_by_one_error_and_others_are_served(
+    served: Served, name: str
+) -> None:
+    with served.client() as hostile, served.client() as other:
+        for connection in (hostile, other):
+            connection.recv()
+            connection.recv()
+        hostile.send(HOSTILE[name])
+        answer = json.loads(hostile.recv(timeout=60))
+        assert (answer["op"], answer["level"]) == ("status", 2)
+        assert answer["message"].startswith("request ignored: ")
+        assert answer["message"].isprintable()
+        assert len(answer["message"]) < 100
+        for connection in (hostile, other):  # both are still connected
+            connection.send('{"op": "subscribe", "subscriptions": [{"id": 5, "channelId": 1}]}')
+        served.server.tell_time(9)
+        for connection in (hostile, other):
+            assert until_told(connection) == struct.pack("<BQ", 2, 9)
+
+
+def test_a_client_with_many_subscriptions_gets_no_more(served: Served) -> None:
+    with served.client() as connection:
+        connection.recv()
+        connection.recv()
+        many = [{"id": number, "channelId": 1} for number in range(MOST_SUBSCRIPTIONS + 1)]
+        connection.send(json.dumps({"op": "subscribe", "subscriptions": many}))
+        assert "more than 1000 subscriptions" in json.loads(connection.recv(timeout=60))["message"]
+        (client,) = served.server._clients
+        assert len(client.subscriptions) == MOST_SUBSCRIPTIONS
+
+
+def test_a_huge_request_ends_its_connection_only(served: Served) -> None:
+    with served.client() as hostile, served.client() as other:
+        for connection in (hostile, other):
+            connection.recv()
+            connection.recv()
+        hostile.send(f'{{"op": "{2**21 * "x"}"}}')
+        with pytest.raises(ConnectionClosed):
+            hostile.recv(timeout=60)
+        served.server.tell_time(9)
+        assert until_told(other) == struct.pack("<BQ", 2, 9)
 
 
 def test_a_page_that_was_refused_is_told_of_once(capsys: pytest.CaptureFixture[str]) -> None:

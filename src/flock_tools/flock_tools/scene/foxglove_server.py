@@ -31,9 +31,14 @@ from websockets.typing import Subprotocol
 
 from flock_sim.bag.definitions import copied_definition
 from flock_sim.errors import FlockError
+from flock_sim.outside import json_text
+from flock_sim.outside.printing import shown
 
 BACKLOG = 8
 """Number of messages kept for a slow client; older ones are dropped."""
+
+MOST_SUBSCRIPTIONS = 1000
+"""Largest number of subscriptions of a client."""
 
 SUBPROTOCOLS = [
     Subprotocol(name) for name in ("foxglove.sdk.v1", "foxglove.sdk.v1.1", "foxglove.websocket.v1")
@@ -133,7 +138,7 @@ class FoxgloveServer:
         """Greet a client and handle its requests until it disconnects."""
         for told in self._greeting:
             await connection.send(told)
-        client = _Client(connection)
+        client = _Client(connection, frozenset(self._channels.values()))
         self._clients.add(client)
         sending = asyncio.ensure_future(client.send())
         try:
@@ -164,16 +169,17 @@ class FoxgloveServer:
 
 
 class _Client:
-    """A connected client: its subscriptions, and its queue of messages."""
+    """A connected client of `channels`: its subscriptions, and its queue of messages."""
 
-    def __init__(self, connection: ServerConnection) -> None:
+    def __init__(self, connection: ServerConnection, channels: Collection[int]) -> None:
+        self._channels = channels
         self.subscriptions: dict[int, int] = {}
         """Channel number by subscription number."""
         self._connection = connection
-        self._waiting: deque[bytes] = deque(maxlen=BACKLOG)
+        self._waiting: deque[str | bytes] = deque(maxlen=BACKLOG)
         self._news = asyncio.Event()
 
-    def give(self, message: bytes) -> None:
+    def give(self, message: str | bytes) -> None:
         """Queue a message for the client. If the queue is full, the oldest message is dropped."""
         self._waiting.append(message)
         self._news.set()
@@ -187,25 +193,47 @@ class _Client:
                     await self._connection.send(self._waiting.popleft())
 
     def take(self, asked: str | bytes) -> None:
-        """Subscribe or unsubscribe at the client's request. Other requests are ignored."""
+        """Subscribe or unsubscribe at the client's request; answer others with an error."""
         try:
-            said = json.loads(asked)
-            if said["op"] == "subscribe":
+            self._do(asked)
+        except ValueError as error:
+            self.give(_error(f"request ignored: {error}"))
+        except (LookupError, TypeError):
+            self.give(_error("request ignored: its fields are not those of the protocol"))
+
+    def _do(self, asked: str | bytes) -> None:
+        """Raises ValueError, LookupError or TypeError if it is no request that is known."""
+        if not isinstance(asked, str):
+            raise ValueError("a binary message; this server takes JSON only")
+        said = json_text.parse(asked)
+        match said["op"]:
+            case "subscribe":
                 for wanted in said["subscriptions"]:
-                    number, channel = _number(wanted["id"]), _number(wanted["channelId"])
-                    self.subscriptions[number] = channel
-            elif said["op"] == "unsubscribe":
+                    self._subscribe(_number(wanted["id"]), _number(wanted["channelId"]))
+            case "unsubscribe":
                 for number in said["subscriptionIds"]:
                     self.subscriptions.pop(_number(number), None)
-        except (ValueError, LookupError, TypeError, RecursionError):
-            return
+            case other:
+                raise ValueError(f"op {other!r}: must be subscribe or unsubscribe")
+
+    def _subscribe(self, number: int, channel: int) -> None:
+        if channel not in self._channels:
+            raise ValueError(f"channelId {channel}: there is no such channel")
+        if len(self.subscriptions) >= MOST_SUBSCRIPTIONS and number not in self.subscriptions:
+            raise ValueError(f"more than {MOST_SUBSCRIPTIONS} subscriptions")
+        self.subscriptions[number] = channel
 
 
 def _number(value: Any) -> int:
     """Return the number of a channel or a subscription. Raises ValueError if it is invalid."""
-    if not isinstance(value, int) or not 0 <= value < 1 << 32:
-        raise ValueError(f"{value!r} is no number of 32 bits")
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
+        raise ValueError(f"{value!r}: must be a whole number of 32 bits")
     return value
+
+
+def _error(text: str) -> str:
+    """Return a message that tells a client of an error."""
+    return json.dumps({"op": "status", "level": 2, "message": shown(text)})
 
 
 def _listener(host: str, port: int) -> socket.socket:
