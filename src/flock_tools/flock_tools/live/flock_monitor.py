@@ -244,6 +244,7 @@ class View:
             if not number or not run.heard or run.states_until < since
         ]
 
+    @np.errstate(over="ignore", invalid="ignore")  # of a bird that diverges
     def _sampled(self, row: list[State], member: int, granted: Granted | None) -> Sample:
         birds = len(row)
         members = len(row[0].position)

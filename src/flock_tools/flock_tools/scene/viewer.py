@@ -9,6 +9,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rclpy.context import Context
 from rclpy.publisher import Publisher
 
@@ -100,6 +101,7 @@ class Viewer(Watcher):
         """Whether all of a step is known, the wings included."""
         return self._snapshot() is not None
 
+    @np.errstate(over="ignore", invalid="ignore")  # of a bird that diverges
     def publish(self) -> None:
         """Send the latest complete step to all listeners."""
         frame = self._framed()
