@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, TypeVar
@@ -28,7 +29,7 @@ from flock_sim.ros.compiled_exchange import (
     compiled_exchange_of,
     strange,
 )
-from flock_sim.ros.endpoints import DrainedNode, latched
+from flock_sim.ros.endpoints import DrainedNode, Inlet, latched
 from flock_sim.ros.fetch import let_fetch
 from flock_sim.ros.process import new_incarnation
 from flock_sim.ros.rejection_warnings import RejectionWarnings
@@ -40,7 +41,8 @@ REPORTS = latched(1000)
 """QoS of the reports to the clock. One publisher sends those of all birds of a process."""
 
 LOOK_EVERY = 1.0
-"""Time between looks at the wings in flight, in s: no bird sends one then, but others may."""
+"""Time between looks at a wing in flight, in s. No bird sends one then, but others may, and their
+messages must not fill the queue."""
 
 FETCHED = (Channel.STATE, Channel.MEMORY, Channel.AGES)
 """Channels for the recorder and other listeners. No bird waits for their messages."""
@@ -106,7 +108,8 @@ class BirdNode(DrainedNode):
             other: self.subscribe_drained(BirdStage, topics.stage_topic(other))
             for other in self.protocol.neighbours
         }
-        self._look_at = 0.0  # monotonic time of the next look at the wings in flight, in s
+        self._next_wing = itertools.cycle(self._wings.values())
+        self._look_at = 0.0  # monotonic time of the next look at a wing in flight, in s
         self._take_raw = {other: inlet.take_raw for other, inlet in self._stages.items()}
         self._rejection_warnings = RejectionWarnings(
             self, self.protocol.ignored_for, self.told, logger=first or self
@@ -130,13 +133,21 @@ class BirdNode(DrainedNode):
             moved = self._take_all_stages()
         if self._exchange:
             self._lockstep.count_foreign()
-        if not self.protocol.in_flight or time.monotonic() >= self._look_at:
-            self._look_at = time.monotonic() + LOOK_EVERY
-            for inlet in self._wings.values():
-                while (data := inlet.take()) is not None:
-                    moved |= self.hear(messages.Wing, self.protocol.receive_wing, data)
+        for inlet in self._wings_due():
+            while (data := inlet.take()) is not None:
+                moved |= self.hear(messages.Wing, self.protocol.receive_wing, data)
         self._rejection_warnings.tell()
         return moved
+
+    def _wings_due(self) -> Iterable[Inlet]:
+        """Return the wings to look at now: all before the flight, and then one at a time."""
+        if not self.protocol.in_flight:
+            return self._wings.values()
+        now = time.monotonic()
+        if now < self._look_at or not self._wings:
+            return ()
+        self._look_at = now + LOOK_EVERY
+        return (next(self._next_wing),)
 
     def report(self) -> None:
         """Report to the clock that this bird is present and waits."""
