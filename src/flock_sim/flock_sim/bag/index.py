@@ -218,9 +218,8 @@ def scanned(fd: int) -> Contents:
     size = os.fstat(fd).st_size
     contents = Contents(whole=len(MAGIC))
     data_end = _walk(fd, size, contents)
-    unpacked = limits.Unpacked(fd)
-    _drop_damaged_tail(fd, contents, unpacked)
-    _learn_from_chunks(fd, contents, unpacked)
+    _drop_damaged_tail(fd, contents)
+    _learn_from_chunks(fd, contents)
     for place in contents.chunks:
         if place.end_time or place.channels:  # a chunk without messages has no times
             contents.meet(place.start_time)
@@ -268,8 +267,9 @@ def _walk(fd: int, size: int, contents: Contents) -> int:
     return size
 
 
-def _drop_damaged_tail(fd: int, contents: Contents, unpacked: limits.Unpacked) -> None:
+def _drop_damaged_tail(fd: int, contents: Contents) -> None:
     """Leave out chunks at the end that were not completely written because of a power cut."""
+    unpacked = limits.Unpacked(fd)
     while contents.chunks:
         try:
             read_chunk(fd, contents.chunks[-1], unpacked)
@@ -278,8 +278,9 @@ def _drop_damaged_tail(fd: int, contents: Contents, unpacked: limits.Unpacked) -
             contents.whole = contents.chunks.pop().offset
 
 
-def _learn_from_chunks(fd: int, contents: Contents, unpacked: limits.Unpacked) -> None:
+def _learn_from_chunks(fd: int, contents: Contents) -> None:
     """Find definitions that are only in chunks, where most other writers place them."""
+    unpacked = limits.Unpacked(fd)
     for place in contents.chunks:
         if not place.channels or not place.channels <= contents.channels.keys():
             with suppress(DamagedError):  # reported when its messages are read
