@@ -10,7 +10,7 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages.handshake import handshake
-from flock_sim.messages.rejection import IMPOSSIBLE
+from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.clock import Timekeeper
@@ -341,25 +341,39 @@ def test_what_a_bird_sent_does_not_change_when_it_flies_on():
     assert [data for _, data in first] == kept
 
 
+def refused(bird, other):
+    """Return the error by which a bird refuses the clock of another flight: at its second grant."""
+    assert bird.receive_grant(other) == []
+    with pytest.raises(FlockError) as error:
+        bird.receive_grant(other)
+    return str(error.value)
+
+
 @pytest.mark.parametrize("change", [{"dt": 0.5}, {"end": 9}])
 def test_a_clock_of_another_flight_is_refused(change):
     configuration = configured()
-    with pytest.raises(
-        FlockError, match=r"bird_02 has 8 steps of dt = 1: give both the same configuration"
-    ):
-        BirdProtocol(2, configuration).receive_grant(grant(0, configuration, **change))
+    error = refused(BirdProtocol(2, configuration), grant(0, configuration, **change))
+    assert "bird_02 has 8 steps of dt = 1: give both the same configuration" in error
 
 
 def test_a_clock_of_another_flight_is_refused_by_name():
     # What the clock's terms say goes before dt and end.
     configuration = configured()
     other = configured(coupling="all", t_max=9.0)
-    with pytest.raises(
-        FlockError, match=r'bird_02 has coupling = "nearest" where the clock has "all"'
-    ):
-        BirdProtocol(2, configuration).receive_grant(
-            grant(0, configuration, end=9, terms=handshake(other))
-        )
+    another = grant(0, configuration, end=9, terms=handshake(other))
+    error = refused(BirdProtocol(2, configuration), another)
+    assert 'bird_02 has coupling = "nearest" where the clock has "all"' in error
+
+
+def test_one_forged_grant_of_another_flight_does_not_end_a_bird_that_has_just_started():
+    configuration = configured()
+    other = grant(0, configuration, terms=handshake(configured(coupling="all")))
+    bird = BirdProtocol(2, configuration)
+    assert bird.receive_grant(other) == []
+    assert bird.receive_grant(replace(other, terms=handshake(configured(t_max=9.0)))) == []
+    assert bird.receive_grant(grant(0, configuration)) != []
+    assert bird.receive_grant(other) == bird.receive_grant(other) == []
+    assert bird.ignored_for == {FOREIGN: 4}
 
 
 @pytest.mark.parametrize("change", [{"run_id": 0}, {"epoch": 0}, {"dt": 0.5}, {"dt": np.nan}])

@@ -255,8 +255,10 @@ def test_a_bird_that_comes_to_a_flight_in_flight_does_not_begin() -> None:
 def test_a_clock_of_another_pace_or_in_lockstep_is_refused() -> None:
     flown = FlockConfiguration(birds=2, t_max=20.0)
     for said_terms in (handshake(flown), handshake(flown, 3.0)):
+        bird, other = FreeBird(1, flown, FACTOR), replace(grant(flown, 0), terms=said_terms)
+        assert bird.receive_grant(other) == []
         with pytest.raises(FlockError, match="real_time_factor = 2"):
-            FreeBird(1, flown, FACTOR).receive_grant(replace(grant(flown, 0), terms=said_terms))
+            bird.receive_grant(other)
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,7 @@ class Session:
         self._configuration = configuration
         self._factor = factor
         self._terms = ""
+        self._other: tuple[str, float, int] | None = None  # terms, dt, end of another flight
         self._granted = -1
         self._over = False  # the clock has ended the run
         self._silent = False  # no message has arrived since
@@ -72,8 +73,9 @@ class Session:
     def refuses_grant(self, grant: Grant) -> str:
         """Return why a grant has no effect, or "".
 
-        Raises FlockError if the first grant is from a clock with another configuration. Raises
-        RunFailed at the second grant of a later epoch during a free flight.
+        Raises FlockError if a clock with another configuration repeats its grant before one of this
+        flight has arrived: the first one may be forged. Raises RunFailed at the second grant of a
+        later epoch during a free flight.
         """
         if reason := self.refuses(grant.run_id, grant.epoch):
             return reason
@@ -82,7 +84,8 @@ class Session:
             try:
                 reason = self._differs(grant)
             except FlockError:
-                if first:
+                other, self._other = self._other, (grant.terms, grant.dt, grant.end)
+                if first and other == self._other:
                     raise
                 reason = FOREIGN
             if reason:
