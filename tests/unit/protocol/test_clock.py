@@ -256,6 +256,16 @@ def test_a_push_of_all_members_is_one_message_whose_number_is_its_epoch(members:
     assert step == push.step == 5
 
 
+def test_a_push_is_repeated_until_the_recorder_has_begun_its_epoch() -> None:
+    keeper = clock(record=True)
+    reach(keeper, 0, *BIRDS, "recorder")
+    assert keeper.repeated == [keeper.grant]
+    _, (push, grant) = keeper.perturb(bird=2, member=0, step=0, position=0.1, speed=0.0)
+    assert keeper.repeated == [push, grant]
+    reach(keeper, 0, "recorder", epoch=2)
+    assert keeper.repeated == [keeper.grant]
+
+
 def test_the_epoch_after_the_last_is_the_first() -> None:
     keeper = Timekeeper(FlockConfiguration(birds=2), RUN, 4, False, epoch=2**32 - 1)
     (grant, _) = keeper.rewind()

@@ -88,8 +88,8 @@ class ClockNode(FlockNode):
         self._send(keeper.first_messages)
 
     def repeat(self) -> None:
-        """Repeat the last grant."""
-        self._send([self.keeper.grant])
+        """Repeat the last grant, and a push that is not on disk yet."""
+        self._send(self.keeper.repeated)
 
     def rewind(self) -> None:
         """Rewind the flock to the last step on disk."""

@@ -104,7 +104,7 @@ class Timekeeper:
         self.pausing = self._window.pause
         """Where the run pauses on request."""
         self._stopping = False  # stop once all nodes have reported
-        self._perturbation = 0
+        self._push: Push | None = None  # the last one that was requested in flight
         self.began: int | None = None
         """The step that the flock was at when all nodes had reported to this clock."""
         self._begin_epoch()
@@ -127,6 +127,15 @@ class Timekeeper:
     def grant(self) -> Grant:
         """The last grant."""
         return self._grant(self._window.granted)
+
+    @property
+    def repeated(self) -> list[Message]:
+        """What the clock repeats every second: the last grant, and a push that is not on disk yet.
+
+        A recorder that a forged grant has sent to another epoch may have dropped the push.
+        """
+        lacking = [self._push] if self._push and self.saved == ABSENT else []
+        return [*lacking, self.grant]
 
     @property
     def release(self) -> Grant:
@@ -268,7 +277,7 @@ class Timekeeper:
         push = Push(self.run_id, step, position, speed, following(self.epoch), bird, member)
         for one in push.each(configuration.members):
             one.check(configuration.birds, configuration.members, self.end)
-        self._perturbation = push.number
+        self._push = push
         return step, [push, *self.rewind()]
 
     def stop(self) -> list[Message]:
@@ -307,5 +316,5 @@ class Timekeeper:
             self._configuration.dt,
             self.epoch,
             self._terms,
-            self._perturbation,
+            self._push.number if self._push else 0,
         )
