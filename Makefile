@@ -4,7 +4,7 @@
 
 WORKERS = $(shell nproc)
 
-.PHONY: setup demo test test-packages test-kilted other-machine torture fuzz lint docs-packages docs bench figures clean help
+.PHONY: setup demo test test-packages test-kilted other-machine simulate torture fuzz lint docs-packages docs bench figures clean help
 
 setup:  ## build .venv and the workspace where missing or stale (other targets do this where needed)
 	@tools/setup
@@ -32,7 +32,10 @@ test-kilted:  ## fly with ROS 2 Kilted, which has Fast DDS 3, from a copy of thi
 other-machine: setup  ## fly the golden flights on emulated processors: 64-bit Arm, and x86 without FMA (needs Debian and qemu-user)
 	@tools/other-machine
 
-torture: setup  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
+simulate: setup  ## fly a million steps of simulated birds with all faults, and check each state (half an hour)
+	@./flock python tests/simulate.py --jobs $(WORKERS) $(SIMULATE_ARGS)
+
+torture: simulate  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
 	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/protocol/test_stage_fuzz.py tests/unit/recording/test_torture.py
 	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 FLOCK_VARIED_FLIGHTS=200 \

@@ -10,8 +10,12 @@ from random import Random
 
 import numpy as np
 
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
+from flock_sim.messages.stage_layout import HEADER, HEADER_AT
 from flock_sim.messages.types import Checkpoint, Grant, Message, Progress, Push
+from flock_sim.physics.runge_kutta import STAGES
+from flock_sim.protocol.bird import BirdProtocol
 
 Forge = Callable[[Random, Mapping[str, bytes]], Message]
 """A function that makes a message from the last genuine one of each topic."""
@@ -68,7 +72,7 @@ def _all_leave(random: Random, genuine: Mapping[str, bytes]) -> Message:
 
 def _another_flight(random: Random, genuine: Mapping[str, bytes]) -> Message:
     grant = _grant(genuine)
-    terms = grant.terms.replace('"dt":1.0', '"dt":0.5')
+    terms = grant.terms.replace(f'"dt":{grant.dt}', f'"dt":{grant.dt / 2}')
     assert terms != grant.terms
     return replace(grant, terms=terms, epoch=grant.epoch + random.randint(0, 3))
 
@@ -131,3 +135,50 @@ KINDS: dict[str, tuple[str, Forge]] = {
     "progress beyond leave": (topics.PROGRESS_TOPIC, _progress_beyond_leave),
     "progress of a stranger": (topics.PROGRESS_TOPIC, _progress_of_a_stranger),
 }
+
+
+Header = tuple[int, int, int, int, int, int]
+"""Run id, step, epoch, bird, stage and members of a stage message."""
+
+ForgeHeader = Callable[[Header, BirdProtocol, FlockConfiguration], Header]
+"""A function that changes the header of a genuine message to a bird, so that it is impossible."""
+
+
+def _two_exchanges_ahead(
+    header: Header, to: BirdProtocol, flight: FlockConfiguration, more: int = 0
+) -> Header:
+    """Further than a neighbour can be: it has to hear the one between from this bird first."""
+    after = flight.link_table.exchange_schedule.after
+    step, stage = divmod(after(after(to.tick)) + more, STAGES)
+    return header[0], step, *header[2:4], stage, header[5]
+
+
+STAGES_AHEAD: dict[str, ForgeHeader] = {
+    "two exchanges ahead": _two_exchanges_ahead,
+    "steps ahead": lambda header, to, flight: _two_exchanges_ahead(header, to, flight, 2 * STAGES),
+}
+"""Forged headers that are impossible only as long as the bird flies at its present tick."""
+
+STAGE_HEADERS: dict[str, ForgeHeader] = {
+    "another run": lambda header, to, flight: (header[0] + 1, *header[1:]),
+    "no run": lambda header, to, flight: (0, *header[1:]),
+    "no run, no epoch": lambda header, to, flight: (0, header[1], 0, *header[3:]),
+    "an older epoch": lambda header, to, flight: (*header[:2], header[2] - 1, *header[3:]),
+    "its own echo": lambda header, to, flight: (*header[:3], to.bird, *header[4:]),
+    "nobody": lambda header, to, flight: (*header[:3], 0, *header[4:]),
+    "a stranger": lambda header, to, flight: (*header[:3], flight.birds + 1, *header[4:]),
+    "the end of time": lambda header, to, flight: (header[0], 2**64 - 1, *header[2:]),
+    "other members": lambda header, to, flight: (*header[:5], header[5] + 1),
+    **STAGES_AHEAD,
+}
+"""All kinds of forged headers, by name."""
+
+
+def with_header(
+    data: bytes, forge: ForgeHeader, to: BirdProtocol, flight: FlockConfiguration
+) -> bytes:
+    """Return a stage message with a forged header."""
+    forged = bytearray(data)
+    header = HEADER.unpack_from(data, HEADER_AT)
+    HEADER.pack_into(forged, HEADER_AT, *forge(header, to, flight))
+    return bytes(forged)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import struct
 from random import Random
 
 from hypothesis import settings
@@ -13,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.stage_layout import HEADER, HEADER_AT
 from flock_sim.messages.types import Grant, Wing
-from flock_sim.physics.runge_kutta import STAGES
+from support.forgeries import STAGE_HEADERS, with_header
 from support.network import CLOCK, EPOCH, RUN, Kind, Letter, Network, expected_states
 from support.random_forcing import random_forcing
 from support.random_links import random_links
@@ -56,33 +55,6 @@ def configurations(draw) -> FlockConfiguration:
     )
     configuration.load_laws()
     return configuration
-
-
-def two_exchanges_ahead(header, network, to, more=0):
-    """Further than a neighbour can be: it has to hear the one between from this bird first."""
-    after = network.configuration.link_table.exchange_schedule.after
-    step, stage = divmod(after(after(max(network.log[to].tick, 0))) + more, STAGES)
-    return header[0], step, *header[2:4], stage, header[5]
-
-
-# Header fields of a stage message: run id, step, epoch, bird, stage, members.
-FORGERIES = {
-    "another run": lambda header, network, to: (RUN + 1, *header[1:]),
-    "no run": lambda header, network, to: (0, *header[1:]),
-    "no run, no epoch": lambda header, network, to: (0, header[1], 0, *header[3:]),
-    "an older epoch": lambda header, network, to: (*header[:2], EPOCH - 1, *header[3:]),
-    "its own echo": lambda header, network, to: (*header[:3], to, *header[4:]),
-    "nobody": lambda header, network, to: (*header[:3], 0, *header[4:]),
-    "a stranger": lambda header, network, to: (
-        *header[:3],
-        network.configuration.birds + 1,
-        *header[4:],
-    ),
-    "two exchanges ahead": two_exchanges_ahead,
-    "steps ahead": lambda header, network, to: two_exchanges_ahead(header, network, to, 2 * STAGES),
-    "the end of time": lambda header, network, to: (header[0], 2**64 - 1, *header[2:]),
-    "other members": lambda header, network, to: (*header[:5], header[5] + 1),
-}
 
 
 class Adversary(RuleBasedStateMachine):
@@ -172,17 +144,16 @@ class Adversary(RuleBasedStateMachine):
             1 + to % self.network.configuration.birds, bytes([fill]) * (size - 4)
         )
 
-    @rule(at=st.integers(0, 1000), how=st.sampled_from(sorted(FORGERIES)))
+    @rule(at=st.integers(0, 1000), how=st.sampled_from(sorted(STAGE_HEADERS)))
     def forge(self, at, how):
         # What is on its way would be welcome, but for the one thing that is changed.
         letters = self.network.in_flight + self.network.delivered
         stages = [letter for letter in letters if letter.kind is Kind.STAGE]
         if stages:
             letter = stages[at % len(stages)]
-            header = HEADER.unpack_from(letter.data, HEADER_AT)
-            forged = bytearray(letter.data)
-            HEADER.pack_into(forged, HEADER_AT, *FORGERIES[how](header, self.network, letter.to))
-            self.network.hand_over_forgery(letter.to, bytes(forged))
+            bird, flight = self.network.birds[letter.to], self.network.configuration
+            forged = with_header(letter.data, STAGE_HEADERS[how], bird, flight)
+            self.network.hand_over_forgery(letter.to, forged)
 
     @rule(at=st.integers(0, 1000), newer=st.sampled_from([1, 2, 9, 2**24, 2**30]))
     def herald(self, at, newer):
@@ -257,9 +228,9 @@ def test_forgeries_are_told_from_the_genuine_by_the_header_alone():
     letter = next(letter for letter in network.in_flight if letter.kind is Kind.STAGE)
     header = HEADER.unpack_from(letter.data, HEADER_AT)
     assert header == (RUN, 0, EPOCH, 3 - letter.to, 0, 1)
-    for forge in FORGERIES.values():
-        forged = bytearray(letter.data)
-        struct.pack_into(HEADER.format, forged, HEADER_AT, *forge(header, network, letter.to))
-        network.hand_over_forgery(letter.to, bytes(forged))
+    bird = network.birds[letter.to]
+    for forge in STAGE_HEADERS.values():
+        forged = with_header(letter.data, forge, bird, network.configuration)
+        network.hand_over_forgery(letter.to, forged)
     network.deliver_all()
     assert network.finished

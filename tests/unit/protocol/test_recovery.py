@@ -17,9 +17,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from support.crash_simulator import CLOCK, World
 from support.random_forcing import random_forcing
 from support.random_links import random_links
+from support.simulator.world import CLOCK, World
 
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
 

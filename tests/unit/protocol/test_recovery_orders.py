@@ -13,6 +13,7 @@ import pytest
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.messages import topics
 from flock_sim.messages.epochs import REACH
 from flock_sim.messages.handshake import check_handshake, handshake, run_id_of
 from flock_sim.messages.topics import RECORDER, bird_name
@@ -22,7 +23,8 @@ from flock_sim.protocol.clock import Timekeeper
 from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.recording.row_assembler import RowAssembler
 from flock_sim.reference.integrator import Reference
-from support.crash_simulator import CLOCK, RUN, World
+from support.simulator.recorder import RUN
+from support.simulator.world import CLOCK, FORGER, World
 
 TWO = FlockConfiguration(birds=2, t_max=8.0, record_every=1)
 
@@ -451,6 +453,21 @@ def test_the_clock_and_a_bird_die_together_at_the_very_end(seed: int) -> None:
     if not flight.over:
         flight.kill(CLOCK, "bird_03")
     flight.settle()
+
+
+def test_a_push_is_flown_although_a_forged_grant_made_the_recorder_drop_it() -> None:
+    flight = world(t_max=30.0)
+    fly_until(flight, lambda: flight.keeper.step >= 3)
+    before = flight.keeper.grant
+    assert flight.push(2, 0, 0.1, 0.0)
+    (queue,) = [q for q in flight.deliverable(RECORDER) if q.topic == topics.PERTURBATION_TOPIC]
+    flight.deliver(queue)
+    forged = replace(before, epoch=before.epoch + 5)
+    flight.post_forged(topics.GRANT_TOPIC, forged.encode(), RECORDER)
+    (queue,) = [q for q in flight.deliverable(RECORDER) if q.sender.who == FORGER]
+    flight.deliver(queue)
+    flight.settle()
+    assert len(flight.disk.live) == 1
 
 
 # --- terms ---
