@@ -430,18 +430,18 @@ def test_what_all_chunks_unpack_to_is_limited_in_each_pass(
     first = len(MAGIC) + len(pack(CHANNEL))
     summary += b"".join(chunk_index(first + k * len(one), len(one)) for k in range(count))
     path = write(tmp_path / "a.mcap", pack(CHANNEL) + one * count, summary)
-    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
-    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    monkeypatch.setattr(limits, "CHUNKS_RATIO", 1)
+    monkeypatch.setattr(limits, "CHUNKS_SIZE", 500_000)
     with BagReader(path) as bag:
         for _ in range(3):  # the limit is for each pass
             READS[read](bag)
-        monkeypatch.setattr(limits, "UNPACKED_SIZE", 300_000)
+        monkeypatch.setattr(limits, "CHUNKS_SIZE", 300_000)
         with pytest.raises(
             FlockError,
             match=r"a\.mcap has \d+ unpacked bytes in its chunks, more than the limit of 300000: ",
         ):
             READS[read](bag)
-        monkeypatch.setattr(limits, "UNPACKED_RATIO", 1000)  # a larger file may unpack to more
+        monkeypatch.setattr(limits, "CHUNKS_RATIO", 1000)  # a larger file may unpack to more
         READS[read](bag)
 
 
@@ -463,10 +463,10 @@ def test_what_a_file_without_a_summary_unpacks_to_is_limited(
     packed = zstandard.compress(message(7, 10_000))
     one = chunk(packed, compression="zstd", size=len(message(7, 10_000)))
     path = write(tmp_path / "a.mcap", pack(CHANNEL) + one * 40)
-    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
-    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    monkeypatch.setattr(limits, "CHUNKS_RATIO", 1)
+    monkeypatch.setattr(limits, "CHUNKS_SIZE", 500_000)
     assert len(times(path)) == 40
-    monkeypatch.setattr(limits, "UNPACKED_SIZE", 300_000)
+    monkeypatch.setattr(limits, "CHUNKS_SIZE", 300_000)
     with pytest.raises(FlockError, match="unpacked bytes in its chunks, more than the limit"):
         BagReader(path)
 
@@ -477,8 +477,8 @@ def test_damaged_chunks_at_the_end_are_unpacked_to_a_limit(
     packed = zstandard.compress(message(7, 10_000))
     torn = chunk(packed, compression="zstd", size=20_000)  # it does not have this size
     path = write(tmp_path / "a.mcap", pack(CHANNEL) + torn * 40)
-    monkeypatch.setattr(limits, "UNPACKED_RATIO", 1)
-    monkeypatch.setattr(limits, "UNPACKED_SIZE", 500_000)
+    monkeypatch.setattr(limits, "CHUNKS_RATIO", 1)
+    monkeypatch.setattr(limits, "CHUNKS_SIZE", 500_000)
     with pytest.raises(FlockError, match="unpacked bytes in its chunks, more than the limit"):
         BagReader(path)
 

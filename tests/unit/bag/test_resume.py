@@ -403,8 +403,8 @@ def test_a_bag_that_unpacks_to_too_much_is_not_continued(
     bag = writer(tmp_path / "run")
     write(bag, messages(100))
     bag.leave()
-    monkeypatch.setattr(limits, "UNPACKED_RATIO", 0)
-    monkeypatch.setattr(limits, "UNPACKED_SIZE", 1000)
+    monkeypatch.setattr(limits, "CHUNKS_RATIO", 0)
+    monkeypatch.setattr(limits, "CHUNKS_SIZE", 1000)
     with pytest.raises(
         FlockError,
         match=r"\.mcap has \d+ unpacked bytes in its chunks, more than the limit of 1000",

@@ -62,8 +62,11 @@ MESSAGE_COST = 256
 
 UNPACKED_SIZE, UNPACKED_RATIO = GIB, 1000
 """A file that rosbag2 compressed may unpack to this size in bytes, and a larger one to so many
-times its size. The same holds for all chunks of a file together, each time that they are read:
-otherwise a file of 1 MB can keep a tool busy for hours."""
+times its size."""
+
+CHUNKS_SIZE, CHUNKS_RATIO = 4 * GIB, 10_000
+"""The same for all chunks of a file together, each time that they are read: otherwise a file of
+1 MB can keep a tool busy for hours. A flight of 10^4 equal members has a ratio of some thousand."""
 
 SEARCHED_SIZE, SEARCHED_RATIO = 4 * GIB, 16
 """Size in bytes of damaged chunks that are unpacked in a search for the next sound one. In a larger
@@ -85,7 +88,7 @@ class Unpacked:
 
     def __init__(self, fd: int) -> None:
         self._size = 0
-        self._most = max(UNPACKED_SIZE, UNPACKED_RATIO * os.fstat(fd).st_size)
+        self._most = max(CHUNKS_SIZE, CHUNKS_RATIO * os.fstat(fd).st_size)
 
     def add(self, size: int) -> None:
         """Add the size of a chunk, in bytes. Raises LimitError if all are too large."""
