@@ -18,11 +18,10 @@ _KINDS = {
 
 
 class NotRegularError(OSError):
-    """A path leads to something else than a regular file; `kind` says what it is."""
+    """A path leads to something else than a regular file; `strerror` says what it is."""
 
     def __init__(self, mode: int) -> None:
-        super().__init__(0, "it is not a regular file")
-        self.kind = _KINDS.get(stat.S_IFMT(mode), "is no regular file")
+        super().__init__(0, _KINDS.get(stat.S_IFMT(mode), "is no regular file"))
 
 
 def open_file(path: Path) -> FileIO:

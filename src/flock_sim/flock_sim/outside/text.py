@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from flock_sim.errors import FlockError
-from flock_sim.outside.regular_file import NotRegularError, read_file
+from flock_sim.outside.regular_file import read_file
 
 LARGEST_FILE = 64 * 2**20
 """Largest file that is read as a whole, in bytes: span ratios of 501 birds with 10^4 members
@@ -20,8 +20,6 @@ def read_bytes(path: Path, called: str) -> bytes:
     """
     try:
         content = read_file(path, LARGEST_FILE)
-    except NotRegularError as error:
-        raise _unreadable(path, called, error.kind) from error
     except OSError as error:
         raise _unreadable(path, called, error.strerror or str(error)) from error
     if len(content) > LARGEST_FILE:
