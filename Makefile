@@ -42,9 +42,10 @@ torture: simulate  ## kill, interrupt and forge the messages of flights at rando
 		./flock python -m pytest -q tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py \
 		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
 
-fuzz: setup  ## read 100,000 random parameter files, as many sweep files, and 10,000 random metadata.yaml (half an hour)
+fuzz: setup  ## read 100,000 random files of users of each kind, and send 1,000,000 messages to each node (two hours)
 	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py \
 		tests/unit/bag/test_random_bags.py
+	@FLOCK_FUZZ=1000000 ./flock python -m pytest -q -o faulthandler_timeout=36000 tests/ros/test_message_fuzz.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check
