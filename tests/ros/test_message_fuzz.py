@@ -337,6 +337,10 @@ def fly_among_anything(
                     flight.idle()
             if flight.over or flight.clock.keeper.lost or fuzz.total > COUNT:
                 break
+        for _ in range(MOST_ROUNDS):  # a refusal leaves what comes after it
+            with refusals():
+                flight.act()
+                break
         assert_bounded(node, flight.wires.warned)
         for each in flight.nodes:
             if hasattr(each, "protocol"):
