@@ -39,8 +39,7 @@ def test_other_files_are_refused_without_a_wait(tmp_path: Path, path: str, kind:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(NotRegularError) as caught, not_hanging():
         open_file(tmp_path / path)
-    assert caught.value.kind == kind
-    assert caught.value.strerror == "it is not a regular file"
+    assert caught.value.strerror == kind
 
 
 def test_no_file_stays_open_after_a_refusal(tmp_path: Path) -> None:
