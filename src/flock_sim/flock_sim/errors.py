@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable, Mapping, Sequence
 
 
@@ -20,6 +21,19 @@ class RunFailed(FlockError):
     """A run that started and could not be finished: exit status 1."""
 
     exit_status = 1
+
+
+_REMEDIES = {
+    errno.ENOSPC: "free disk space",
+    errno.EDQUOT: "free space of your quota",
+    errno.EMFILE: "allow more open files (ulimit -n)",
+    errno.ENFILE: "close files of other programs",
+}
+
+
+def remedy(error: OSError) -> str:
+    """Return what the user can do about a file that can't be read or written."""
+    return _REMEDIES.get(error.errno or 0, "check the disk")
 
 
 def nearest(word: str, known: Iterable[str], synonyms: Mapping[str, str] | None = None) -> str:

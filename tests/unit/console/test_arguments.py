@@ -54,7 +54,7 @@ def test_arguments_come_from_the_command_line(monkeypatch: pytest.MonkeyPatch) -
         (ZeroDivisionError("division by zero"), "ZeroDivisionError: division by zero, at "),
         (MemoryError(), "MemoryError, at "),
         (RecursionError("too deep"), "RecursionError: too deep, at "),
-        (OSError(5, "Input/output error", "a\x1b.yaml"), r"(file a\x1b.yaml), at "),
+        (OSError(22, "Invalid argument", "a\x1b.yaml"), r"(file a\x1b.yaml), at "),
         (KeyError("\x1b]0;x\x07" + "k" * 5000), "KeyError: '"),
     ],
     ids=lambda case: type(case).__name__,
@@ -74,6 +74,21 @@ def test_a_fault_of_flock_is_one_line_and_has_its_own_status(
     assert "FLOCK_TRACEBACK=1" in line
     assert line[:-1].isprintable()
     assert len(line) < 400
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(5, "Input/output error", "a\x1b"), r"a\\x1b .*\(Input/.*\): check the disk"),
+        (OSError(28, "No space left on device"), r"a file .*\(No space .*\): free disk space"),
+        (OSError(24, "Too many open files", "x"), r"x can't be .*open files\): allow more open"),
+    ],
+)
+def test_a_disk_that_fails_is_no_fault_of_flock(
+    error: OSError, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert raising(error) == 1
+    assert re.fullmatch(f"error: {words}.*\n", capsys.readouterr().err)
 
 
 def test_a_fault_of_flock_is_raised_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output directories: which are accepted, which are refused, and that refusals change nothing."""
 
+import errno
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from flock_sim.errors import FlockError
-from flock_sim.recording.output_directory import own_output, remove_bag
+from flock_sim.errors import FlockError, RunFailed
+from flock_sim.recording.output_directory import (
+    Output,
+    own_new_output,
+    own_output,
+    remove_bag,
+)
 
 
 def tree(root: Path) -> dict[str, bytes | None]:
@@ -50,6 +58,7 @@ def test_what_exists_is_refused_without_force(tmp_path: Path, names: tuple[str, 
         ("metadata.yaml", "out_0.mcap", "out_1.mcap"),
         ("out_0.mcap", ".reserve"),
         ("metadata.yaml",),
+        (".reserve",),
     ],
 )
 def test_force_takes_a_bag_which_stays_until_it_is_removed(
@@ -126,3 +135,32 @@ def test_an_output_without_permission_is_refused(tmp_path: Path) -> None:
                 own_output(output, force)
     finally:
         locked.chmod(0o755)
+
+
+@pytest.mark.parametrize("own", [partial(own_output, force=False), own_new_output])
+def test_a_new_output_that_cant_be_opened_is_refused_and_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: Callable[[Path], Output]
+) -> None:
+    def refuse(*arguments: object) -> int:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(FlockError, match=r"one can't be written \(Too many open files\)"):
+        own(tmp_path / "runs" / "one")
+    assert tree(tmp_path) == {}
+
+
+def test_an_output_that_cant_be_read_at_the_end_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(path: object) -> os.stat_result:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with own_output(tmp_path / "one", force=False) as output:
+        with monkeypatch.context() as broken:
+            broken.setattr(os, "stat", fail)
+            with pytest.raises(RunFailed, match=r"can't be read \(Input/output error\)"):
+                output.check()
+        output.path.rmdir()
+        with pytest.raises(RunFailed, match="moved or removed"):
+            output.check()

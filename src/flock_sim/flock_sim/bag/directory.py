@@ -30,6 +30,9 @@ NEW_FILE = ".new.part"
 COPY_FILE = ".copy.part"
 """The sound part of a damaged file, while it is copied."""
 
+LEFTOVERS = frozenset((PART_FILE, RESERVE_FILE, NEW_FILE, COPY_FILE))
+"""Files that may remain of a bag that could not begin. Without a recording, they are worthless."""
+
 DAMAGED = ".damaged"
 """Suffix of the name of a damaged file that was put aside; a number may follow it."""
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from flock_sim.console.fault import TRACEBACK, fault
+from flock_sim.console.fault import TRACEBACK, disk_failure, fault
 from flock_sim.console.signals import Ended, Endings
 from flock_sim.console.stdout import open_missing_streams
 from flock_sim.errors import FlockError, RunFailed, closest
@@ -170,7 +170,8 @@ def _print(text: str) -> None:
 def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | None = None) -> int:
     """Run `tool` and return its exit status.
 
-    It is 0, 1 (answer is no), 2 (bad input), 70 (a fault of Flock) or 130 (Ctrl-C).
+    It is 0, 1 (answer is no, or a run or a disk failed), 2 (bad input), 70 (a fault of Flock)
+    or 130 (Ctrl-C).
     """
     open_missing_streams()
     try:
@@ -188,6 +189,8 @@ def run_tool(tool: Callable[[Sequence[str]], int], arguments: Sequence[str] | No
         _forget_output()
         return BROKEN_PIPE
     except Exception as error:
+        if isinstance(error, OSError) and (failure := disk_failure(error)):
+            return _ended(f"error: {failure}", failure.exit_status)
         if os.environ.get(TRACEBACK):
             raise
         return _ended(f"error: {fault(error)}", FAULT)

@@ -1,16 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line on an exception that no code has foreseen: a fault of Flock."""
+"""The line on an exception that no code has foreseen: a fault of Flock, or of a disk."""
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
+from flock_sim.errors import RunFailed, remedy
 from flock_sim.outside.printing import shown
 
 PACKAGES = {"flock_sim", "flock_tools", "flockflight"}
 
 TRACEBACK = "FLOCK_TRACEBACK"
 """Environment variable that lets such an exception through, for its traceback."""
+
+_OF_THE_DISK = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE),
+    *(errno.EMFILE, errno.ENFILE),
+)
+"""Errors of a disk, or of a limit of the system, which any call on a file can return."""
+
+
+def disk_failure(error: OSError) -> RunFailed | None:
+    """Return the error of a tool that a disk or the system has stopped; None for other causes."""
+    if error.errno not in _OF_THE_DISK:
+        return None
+    file = error.filename or "a file"
+    return RunFailed(f"{file} can't be read or written ({error.strerror}): {remedy(error)}")
 
 
 def fault(error: Exception) -> str:

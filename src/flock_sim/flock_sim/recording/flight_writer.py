@@ -108,7 +108,7 @@ class Recording:
         if self.bag.begun is not None:
             try:
                 self._find_checkpoint(self.bag.begun)
-            except FlockError:
+            except (FlockError, OSError):
                 self.bag.leave()
                 raise
 

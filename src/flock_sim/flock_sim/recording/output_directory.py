@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from types import TracebackType
 from typing import Self
 
 from flock_sim.bag.directory import (
+    LEFTOVERS,
     METADATA_FILE,
     NEW_FILE,
     bag_files,
@@ -49,12 +51,16 @@ class Output:
     _fd: int
 
     def check(self) -> None:
-        """Raise RunFailed if the directory was moved, removed or replaced by another one."""
-        ours = os.fstat(self._fd)
+        """Raise RunFailed if the directory was moved, removed or replaced, or can't be read."""
+        there = None
         try:
-            there = os.stat(self.path)
-        except OSError:
-            there = None
+            ours = os.fstat(self._fd)
+            with suppress(FileNotFoundError, NotADirectoryError):
+                there = os.stat(self.path)
+        except OSError as error:
+            raise RunFailed(
+                f"output {self.path} can't be read ({error.strerror}): what is there now is unknown"
+            ) from error
         if there is None or (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
             raise RunFailed(
                 f"output {self.path} was moved or removed during the recording: what is there now "
@@ -69,8 +75,7 @@ class Output:
         with suppress(OSError):
             os.unlink(NEW_FILE, dir_fd=self._fd)
         if self.made:
-            with suppress(OSError):
-                self.path.rmdir()
+            _unmake([self.path])
         os.close(self._fd)
 
     def __enter__(self) -> Self:
@@ -85,12 +90,17 @@ class Output:
         self.close()
 
 
+class OutputExists(FlockError):
+    """The output exists, and must not be replaced."""
+
+
 def own_output(path: str | Path, force: bool) -> Output:
     """Own the directory `path` for a new bag; a missing directory is made, with its parents.
 
     An existing path is refused, unless `force` is set and it is an empty directory or a bag: a
     directory that holds metadata.yaml or, if a run was cut short, one .mcap file, and only files of
-    a bag. The old bag stays until the new one has begun and replaces it.
+    a bag. So is what remains of a bag that could not begin. The old bag stays until the new one has
+    begun and replaces it.
 
     Raises FlockError if the path is refused, can't be written, or another process owns it; nothing
     has changed then.
@@ -99,10 +109,14 @@ def own_output(path: str | Path, force: bool) -> Output:
     _check_name(output)
     try:
         if not output.exists():
-            _make(output)
-            return _own(output, made=True)
+            made = _make(output)
+            try:
+                return _own(output, made=True)
+            except OSError:
+                _unmake(made)
+                raise
         if not force:
-            raise FlockError(
+            raise OutputExists(
                 f"output {output} exists: add --force to replace it, or name another --output"
             )
         _check_bag(output)
@@ -122,10 +136,8 @@ def own_new_output(path: str | Path) -> Output:
     for number in itertools.count(2):
         try:
             return own_output(first, force=False)
-        except FlockError:
-            if not first.exists():
-                raise
-        first = Path(f"{path}-{number}")
+        except OutputExists:
+            first = Path(f"{path}-{number}")
     raise AssertionError
 
 
@@ -195,15 +207,27 @@ def _check_name(directory: Path) -> None:
         )
 
 
-def _make(directory: Path) -> None:
-    missing = [parent for parent in directory.parents if not parent.exists()]
+def _make(directory: Path) -> list[Path]:
+    """Make a directory with its parents; return those that were missing, from the innermost on.
+
+    Raises OSError, and OutputExists if another process has made it meanwhile.
+    """
+    missing = [directory, *(parent for parent in directory.parents if not parent.exists())]
     try:
         directory.mkdir(parents=True)
+    except FileExistsError as error:
+        raise OutputExists(f"output {directory} exists: name another --output") from error
     except OSError:
-        for parent in missing:  # from the innermost outwards
-            with suppress(OSError):
-                parent.rmdir()
+        _unmake(missing[1:])
         raise
+    return missing
+
+
+def _unmake(made: Sequence[Path]) -> None:
+    """Remove those of the directories that are empty."""
+    for directory in made:
+        with suppress(OSError):
+            directory.rmdir()
 
 
 def _check_bag(directory: Path) -> None:
@@ -215,7 +239,7 @@ def _check_bag(directory: Path) -> None:
         )
     entries = list(directory.iterdir())
     names = {entry.name for entry in entries} - {NEW_FILE}
-    is_bag = METADATA_FILE in names or sum(map(is_recording, names)) == 1
+    is_bag = METADATA_FILE in names or sum(map(is_recording, names)) == 1 or names <= LEFTOVERS
     plain = all(entry.is_symlink() or entry.is_file() for entry in entries)
     if names and not (is_bag and plain and all(map(belongs_to_bag, names))):
         raise FlockError(

@@ -22,7 +22,7 @@ from flock_sim.bag.metadata import metadata_yaml
 from flock_sim.bag.writing.partial_bag import PartialBag, recorded_in
 from flock_sim.bag.writing.put_aside import put_aside
 from flock_sim.bag.writing.storage import AppendFile, LostError, Reserve
-from flock_sim.errors import FlockError, RunFailed
+from flock_sim.errors import FlockError, RunFailed, remedy
 
 _SLACK = 32 * 1024  # bytes, for the file system's own blocks and for counts that grow longer
 
@@ -87,27 +87,26 @@ class BagOnDisk:
         except LostError as error:
             raise self._lose(error) from error
         except OSError as error:
-            raise RunFailed(
-                f"recording to {self.path} failed ({error.strerror}): the {self.written.messages}"
-                " messages recorded before are safe; free disk space and fly again"
-            ) from error
+            raise self._failed(error) from error
 
     def check(self) -> None:
-        """Raise RunFailed if the file was removed or changed, once."""
+        """Raise RunFailed if the file was removed or changed, once, or if it can't be read."""
         if not self._lost:
             try:
                 self._file.check()
             except LostError as error:
                 raise self._lose(error) from error
+            except OSError as error:
+                raise self._failed(error) from error
 
     def cut_back(self, chunks: int, *, keep_aside: bool) -> None:
         """Keep only the first `chunks` chunks of a resumed bag, as `BagWriter.cut_back` does."""
         if self.begun is None:
             raise ValueError("the bag is new: there is nothing to cut back")
-        kept = self.begun.keep(chunks)
-        if keep_aside:
-            self._put_aside(kept.size)
         try:
+            kept = self.begun.keep(chunks)
+            if keep_aside:
+                self._put_aside(kept.size)
             self._file.cut(kept.size, kept.crc)
         except OSError as error:
             raise self._unusable(error) from error
@@ -117,11 +116,12 @@ class BagOnDisk:
         """Remove the bag that this one replaces, and take its place; raises RunFailed."""
         if not self.replaces:
             return
-        old = [entry for entry in bag_files(self.directory) if is_recording(entry.name)]
         place = self._place
-        kept = (*old[:1], self.path, self._reserve.path)
         try:
-            for entry in bag_files(self.directory):
+            entries = bag_files(self.directory)
+            old = [entry for entry in entries if is_recording(entry.name)]
+            kept = (*old[:1], self.path, self._reserve.path)
+            for entry in entries:
                 if entry not in kept:
                     entry.unlink()
             # The old file gets the name first, so that a kill at any time leaves one of the two.
@@ -142,12 +142,24 @@ class BagOnDisk:
             if not self._lost:
                 self.path.unlink()
         self.replaces = False
-        self.let_go()
+        self._close()
 
     def let_go(self) -> None:
-        """Close the file as it is, so that the bag can be resumed."""
+        """Close the file as it is, so that the bag can be resumed. Raises RunFailed."""
         self._reserve.free()
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as error:
+            raise RunFailed(
+                f"recording to {self.path} failed ({error.strerror}): its last messages may be"
+                f" lost; {remedy(error)} and fly again"
+            ) from error
+
+    def _close(self) -> None:
+        """Close the file. Whether its content is stored does not matter, or is known already."""
+        self._reserve.free()
+        with suppress(OSError):
+            self._file.close()
 
     def complete(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         """Write `metadata` and the summary, and then metadata.yaml; raises RunFailed.
@@ -155,7 +167,7 @@ class BagOnDisk:
         A file that is lost is only closed. A bag without chunks does not replace another one.
         """
         if self._lost:
-            return self.let_go()
+            return self._close()
         if self.replaces and not self.written.chunks:
             return self.remove()
         part = self.directory / PART_FILE
@@ -181,11 +193,12 @@ class BagOnDisk:
                 f" its {self.written.messages} messages are safe"
             ) from error
         finally:
-            self._file.close()
+            self._close()
 
     def _begin(self, replace: bool) -> None:
-        made = not self.directory.exists()
+        made = False
         try:
+            made = not self.directory.exists()
             self.directory.mkdir(parents=True, exist_ok=True)
             if any(self.directory.iterdir()):
                 if not replace:
@@ -196,19 +209,26 @@ class BagOnDisk:
                 self.path = self.directory / NEW_FILE
             self._file = AppendFile(self.path)
         except OSError as error:
+            self._unmake(made)
             raise self._unusable(error) from error
         try:
             self._reserve.hold(self._reserved)
             self._file.append(self._layout.head)
         except OSError as error:
-            self.let_go()
-            self.path.unlink()
-            if made:
-                self.directory.rmdir()
+            self._close()
+            with suppress(OSError):
+                self.path.unlink()
+            self._unmake(made)
             raise RunFailed(
                 f"the bag {self.directory} can't be created ({error.strerror}):"
-                " free disk space and try again"
+                f" {remedy(error)} and try again"
             ) from error
+
+    def _unmake(self, made: bool) -> None:
+        """Remove the directory if this bag has made it, and it is empty."""
+        if made:
+            with suppress(OSError):
+                self.directory.rmdir()
 
     def _go_on(self) -> None:
         try:
@@ -216,7 +236,7 @@ class BagOnDisk:
             try:
                 self._take_up()
             except (OSError, FlockError):
-                self._file.close()
+                self._close()
                 raise
         except OSError as error:
             raise self._unusable(error) from error
@@ -231,10 +251,9 @@ class BagOnDisk:
         try:
             self._reserve.hold(self._reserved + len(kept.written.chunk_index))
         except OSError as error:
-            self._reserve.free()
             raise RunFailed(
                 f"the bag {self.directory} can't be continued ({error.strerror}):"
-                " free disk space and try again"
+                f" {remedy(error)} and try again"
             ) from error
         # metadata.yaml first: its presence says that the bag is complete.
         if not self.replaces:
@@ -255,9 +274,10 @@ class BagOnDisk:
         except OSError as error:
             raise RunFailed(
                 f"{self.path} is damaged, and its undamaged part can't be copied"
-                f" ({error.strerror}): free disk space and try again"
+                f" ({error.strerror}): {remedy(error)} and try again"
             ) from error
-        self._file.close()
+        with suppress(OSError):
+            self._file.close()
         self._file = file
         if self.begun is not None:
             self.begun.fd = file.fd
@@ -268,6 +288,12 @@ class BagOnDisk:
         return RunFailed(
             f"recording to {self.path} failed: {error.strerror}; nothing more is recorded: make"
             " sure that no other program changes the bag of a flight, and fly again"
+        )
+
+    def _failed(self, error: OSError) -> RunFailed:
+        return RunFailed(
+            f"recording to {self.path} failed ({error.strerror}): the {self.written.messages}"
+            f" messages recorded before are safe; {remedy(error)} and fly again"
         )
 
     def _unusable(self, error: OSError) -> FlockError:

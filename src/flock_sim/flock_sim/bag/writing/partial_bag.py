@@ -114,7 +114,10 @@ class PartialBag:
         return after if goes_on(self.fd, after) or has_end(self.fd) else None
 
     def messages(self, number: int) -> list[Message]:
-        """Read the messages of chunk `number`, from 0; raises FlockError if it is damaged."""
+        """Read the messages of chunk `number`, from 0.
+
+        Raises FlockError if it is damaged or can't be read.
+        """
         extent = self.chunks[number]
         try:
             return [
@@ -127,6 +130,8 @@ class PartialBag:
             ]
         except DamagedError as error:
             raise self._damaged(extent, error) from error
+        except OSError as error:
+            raise FlockError(f"{self._path} can't be read: {error.strerror}") from error
 
     def keep(self, chunks: int) -> Kept:
         """Summarise the file up to the end of its first `chunks` chunks; it is read once.

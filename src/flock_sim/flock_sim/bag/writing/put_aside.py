@@ -32,7 +32,8 @@ def put_aside(file: AppendFile, size: int) -> tuple[AppendFile, Path]:
         aside = _other_name(path)
         part.replace(path)
     except OSError:
-        copy.close()
+        with suppress(OSError):
+            copy.close()
         with suppress(OSError):
             part.unlink()
         raise

@@ -11,6 +11,7 @@ from flock_sim.bag.lock import lock
 from flock_sim.bag.records import crc_of
 
 _STEP = 64 * 1024  # bytes of reserved space; grows rarely, so that a chunk rarely pays for it
+_UNKNOWN = -1  # in place of a modification time, in ns
 
 
 class LostError(OSError):
@@ -42,7 +43,11 @@ class AppendFile:
             lock(self.fd)
             self._modified = os.fstat(self.fd).st_mtime_ns
         except OSError:
-            os.close(self.fd)
+            with suppress(OSError):
+                os.close(self.fd)
+            if not existing:
+                with suppress(OSError):
+                    path.unlink()
             raise
         self._times_tell = True
         """Whether the modification time of the file is reliable on this file system."""
@@ -51,10 +56,13 @@ class AppendFile:
         """Keep the first `size` bytes, whose CRC-32 is `crc`; raises OSError."""
         os.ftruncate(self.fd, size)
         self.size, self.crc = size, crc
-        self._modified = os.fstat(self.fd).st_mtime_ns
+        self._note_time()
 
     def append(self, block: bytes) -> None:
-        """Append a block. If this raises OSError (full disk), no part of it stays in the file."""
+        """Append a block. If this raises OSError (full disk), no part of it counts as written.
+
+        The part that was written is cut off, at the latest by `sync`.
+        """
         view = memoryview(block)
         crc = zlib.crc32(block, self.crc)
         done = 0
@@ -63,23 +71,25 @@ class AppendFile:
             while done < len(block):
                 done += os.pwrite(self.fd, view[done:], self.size + done)
         except OSError:
-            os.ftruncate(self.fd, self.size)
-            self._modified = os.fstat(self.fd).st_mtime_ns
+            with suppress(OSError):
+                os.ftruncate(self.fd, self.size)
+            self._note_time()
             raise
         # Ctrl-C can't separate the two assignments: there is no call between them.
         self.size, self.crc = self.size + done, crc
-        self._modified = os.fstat(self.fd).st_mtime_ns
+        self._note_time()
 
     def check(self, *, thorough: bool = False) -> None:
         """Raise LostError unless the file is at `path` and unchanged.
 
         Its contents are read again if its modification time changed, or if `thorough`: clocks of
-        file systems are too coarse to show a foreign write just after one of ours.
+        file systems are too coarse to show a foreign write just after one of ours. Raises OSError
+        if it can't be read.
         """
         ours = os.fstat(self.fd)
         try:
             there = os.stat(self.path)
-        except OSError:
+        except (FileNotFoundError, NotADirectoryError):
             raise LostError("it was removed or moved") from None
         if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
             raise LostError("another file is in its place")
@@ -95,12 +105,21 @@ class AppendFile:
     def sync(self) -> None:
         """Wait until the file is on the disk, safe against a power cut; raises OSError."""
         os.ftruncate(self.fd, self.size)  # an `append` may have failed to clean up
-        self._modified = os.fstat(self.fd).st_mtime_ns
+        self._note_time()
         os.fsync(self.fd)
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file as it is.
+
+        Raises OSError if the file system reports now that what was written before is not stored.
+        """
         os.close(self.fd)
+
+    def _note_time(self) -> None:
+        """Note the modification time; without it, the next `check` reads the contents."""
+        self._modified = _UNKNOWN
+        with suppress(OSError):
+            self._modified = os.fstat(self.fd).st_mtime_ns
 
 
 class Reserve:
@@ -129,8 +148,11 @@ class Reserve:
         self._held = wanted
 
     def free(self) -> None:
-        """Free the space; does nothing if there is none, or if the file is another process's."""
-        with suppress(FileNotFoundError, NotADirectoryError):
+        """Free the space; does nothing if there is none, or if the file is another process's.
+
+        Space that can't be freed is missed by the next `append` to a full disk, if any.
+        """
+        with suppress(OSError):
             status = os.stat(self.path)
             if (status.st_dev, status.st_ino) == self._file:
                 self.path.unlink()
