@@ -68,8 +68,8 @@ class Faults:
         """Draw a mixture: each kind is frequent in some flights and absent in others."""
         kinds = ["kill", "kill all", "lose", "twin", "kill twin", "rewind", "stop", "pause"]
         kinds += ["step", *(["forge"] if forged else []), *(["push"] if pushed else [])]
-        frequent = random.sample(kinds, k=random.randint(0, len(kinds)))
-        weights = {kind: 16 if kind in frequent else random.choice([0, 1]) for kind in kinds}
+        frequent = random.sample(kinds, k=random.randint(1, len(kinds) // 2))
+        weights = {kind: 16 if kind in frequent else random.choice([0, 0, 1]) for kind in kinds}
         if forged:
             weights["forge"] = random.choice([4, 64])
         weights["kill all"] = min(weights["kill all"], 1)
@@ -132,6 +132,8 @@ class RandomFlight:
             if world.over:
                 break
             self._actions[random.choices(names, weights)[0]]()
+        for _ in range(random.choice([0, 0, 1, 5])):
+            world.wires.lose_stage()
         world.settle()
         self._count()
 

@@ -19,6 +19,7 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from support.random_forcing import random_forcing
 from support.random_links import random_links
+from support.simulator.forger import Forger
 from support.simulator.world import CLOCK, World
 
 TORTURE = bool(os.environ.get("FLOCK_TORTURE"))
@@ -97,13 +98,14 @@ def test_a_flight_full_of_deaths_is_the_flight_without(hundred: int, linked: boo
 def test_a_flight_full_of_forged_epochs_is_the_flight_without(hundred: int) -> None:
     for seed in range(100 * hundred, 100 * (hundred + 1)):
         world = random_world(seed)
+        forger = Forger(world)
         try:
             for _ in range(1 + seed % 5):
                 trouble(world, deaths=world.deaths + seed % 2, calm=5 + 3 * (seed % 40))
                 if not world.over:
                     world.bring(*world.dead)
                 for _ in range(world.random.randint(1, 4)):
-                    world.forge()
+                    forger.epoch()
                     world.deliver_some(world.random.randint(1, 30))
             world.settle()
         except AssertionError as error:
