@@ -35,12 +35,13 @@ other-machine: setup  ## fly the golden flights on emulated processors: 64-bit A
 simulate: setup  ## fly a million steps of simulated birds with all faults, and check each state (half an hour)
 	@./flock python tests/simulate.py --jobs $(WORKERS) $(SIMULATE_ARGS)
 
-torture: simulate  ## kill, interrupt and forge the messages of flights at random, and attack bags, some hundred times each (an hour)
+torture: simulate  ## kill, interrupt and forge the messages of flights, attack bags, and let each I/O call fail (some hours)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)
 	@FLOCK_TORTURE=1 ./flock python -m pytest -q tests/unit/protocol/test_stage_fuzz.py tests/unit/recording/test_torture.py
 	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 FLOCK_VARIED_FLIGHTS=200 \
 		./flock python -m pytest -q tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py \
 		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
+	@FLOCK_IO_FAULTS=1000 ./flock python -m pytest -q -o faulthandler_timeout=36000 tests/e2e/test_failing_io.py
 
 fuzz: setup  ## read 100,000 random files of users of each kind, and send 1,000,000 messages to each node (two hours)
 	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py \

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -30,7 +31,12 @@ PRELOAD = 600.0
 @cache
 def fork_server() -> ForkServer:
     """Return the server of this process. It ends with the process."""
-    with patch.dict("os.environ", {"PYTHONPATH": _path()}):
+    return spawn_server({})
+
+
+def spawn_server(environment: Mapping[str, str]) -> ForkServer:
+    """Return a new server, which starts with `environment` in addition to that of this process."""
+    with patch.dict("os.environ", {"PYTHONPATH": _path(), **environment}):
         return ForkServer.spawn("support.forked:preload", timeout=PRELOAD)
 
 

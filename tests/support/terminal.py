@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flock_sim.launcher.fork_server import Child
+from flock_sim.launcher.fork_server import Child, ForkServer
 from flock_sim.launcher.forked_program import Program
 from flock_sim.ros.discovery import FIRST_PORT, LAST_DOMAIN, PORTS, quiet_domains
 from flock_sim.ros.settings_check import shared_memory, udp_sockets
@@ -167,10 +167,16 @@ class Terminal:
         self._count = 0
 
     def start(
-        self, tool: str, *arguments: object, enter: Sequence[str] = (), **options: Any
+        self,
+        tool: str,
+        *arguments: object,
+        enter: Sequence[str] = (),
+        server: ForkServer | None = None,
+        **options: Any,
     ) -> Job:
         """Start a tool as a user does. `options` are passed to Popen.
 
+        `server` forks it; None is the server of all tests.
         `enter` is a prefix of the command, such as `nsenter ...`. With a prefix, or with options
         other than streams and `env`, the tool is a new process of Python; otherwise it is a fork.
         """
@@ -188,7 +194,7 @@ class Terminal:
         with self._streams(tool) as (log, streams):
             streams |= options
             files = {number: _number(streams[name]) for number, name in enumerate(STREAMS)}
-            process = fork_server().start(program, files)
+            process = (server or fork_server()).start(program, files)
         self._sessions.add(process.pid)
         return Job(self, process, log)
 
