@@ -199,17 +199,16 @@ def test_a_resumed_flight_goes_on_after_any_failing_call(
     flights.terminal.well("fly", *FLOCK, "--output", torn)
     spoil(torn, damage)
     before = (torn / "bag_0.mcap").read_bytes()
-    with Run(torn) as run:
-        kept = len(list(run.states())) if damage == "cut" else 0
 
     def trial(fault: Fault, first: int) -> list[Call]:
         flights.put(torn)
         done, calls = flights.run(fault, first, "fly", "--resume", flights.bag)
         if damage == "cut":
-            assert assert_safe(done, flights.bag, flights.reference) >= kept
+            # A chunk whose message indexes are cut off is not kept: its rows are flown again.
+            assert_safe(done, flights.bag, flights.reference)
         else:
             assert any(entry.read_bytes() == before for entry in flights.bag.iterdir())
-        flights.assert_flown_on(kept)
+        flights.assert_flown_on(STATES)
         return calls
 
     let_fail(how, 1, trial)
