@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,13 @@ def test_cells_have_the_colours_of_the_plane_from_the_top_left(ratio: np.ndarray
     middles = picture[side // 2 : rows * side : side, side // 2 :: side]
     expected = 255.0 * plane.colours[:, :3].reshape(rows, columns, 3)
     assert middles == pytest.approx(expected, abs=3.0)  # a neighbouring one of 256 colours
+
+
+def test_the_legend_of_a_diverged_flock_has_its_usual_size() -> None:
+    shown = scene(snapshot())
+    usual = upwash_image(shown)
+    for most in (1e5, 1e300, np.inf):
+        assert upwash_image(replace(shown, most_upwash=most)).shape == usual.shape
 
 
 def test_the_legend_has_the_scale_between_its_ends() -> None:

@@ -44,9 +44,13 @@ GAP = 0.2
 """Gap between a scale and its texts, and smallest gap between two labels, in b."""
 
 
+MOST_PLAIN = 1e4
+"""Number from which on one is written in short."""
+
+
 def label_text(snapshot: Snapshot, bird: int) -> str:
     """Return the label of `bird`, from 1: its number, and the drag that it saves."""
-    return f"{bird}\n{snapshot.saved[bird - 1]:.1f} %"
+    return f"{bird}\n{rounded(snapshot.saved[bird - 1])} %"
 
 
 def label_rank(snapshot: Snapshot, bird: int) -> int:
@@ -73,6 +77,11 @@ def labels(snapshot: Snapshot) -> Iterator[Shape]:
         yield _text(snapshot, "labels", bird, place, text, SMALL * grown)
 
 
+def rounded(value: float) -> str:
+    """Return a number with one decimal, or that of a diverged flock in short."""
+    return f"{value:.1f}" if abs(value) < MOST_PLAIN else f"{value:.3g}"
+
+
 def legends(snapshot: Snapshot, most: float) -> Iterator[Shape]:
     """Yield the title and the colour scales; `most` is the end of the scale of air, in m/s."""
     grown = _enlargement(snapshot)
@@ -82,7 +91,7 @@ def legends(snapshot: Snapshot, most: float) -> Iterator[Shape]:
     saved = saved_scale(snapshot.saved)
     ends = f"{saved.vmin:g} %", f"{saved.vmax:g} %"
     yield from _legend(snapshot, 1, front + NEXT * grown, DRAG_SAVED, "drag saved", ends)
-    ends = f"down {most:.1f} m/s", f"up {most:.1f} m/s"
+    ends = f"down {rounded(most)} m/s", f"up {rounded(most)} m/s"
     yield from _legend(snapshot, 2, front, UPWASH, "air", ends)
 
 
@@ -91,7 +100,7 @@ def _title(snapshot: Snapshot) -> str:
     name = f"{birds} bird{'s' * (birds > 1)}, t = {snapshot.state.time:g} b/U_min"
     if snapshot.members > 1:
         name += f", member {snapshot.member + 1} of {snapshot.members}"
-    return f"{name}\nmean drag saved {float(np.mean(snapshot.saved)):.1f} %"
+    return f"{name}\nmean drag saved {rounded(float(np.mean(snapshot.saved)))} %"
 
 
 def _legend(

@@ -20,6 +20,7 @@ from flock_tools.figures.labels import keep_apart
 from flock_tools.figures.parts import parts
 from flock_tools.figures.style import DRAG_SAVED, STYLE, flock_name, saved_scale
 from flock_tools.runs.dataset import read
+from flock_tools.scene.lettering import rounded
 from flock_tools.scene.marker import UPWASH
 from flock_tools.scene.panel import SMALL, Panel
 from flock_tools.scene.shapes import Scene, scene
@@ -157,7 +158,7 @@ def _empty(shown: Scene) -> Figure:
 def _title(snapshot: Snapshot) -> str:
     name = flock_name(snapshot.configuration, snapshot.member)
     saved = np.mean(snapshot.saved)
-    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {saved:.1f} %"
+    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {rounded(saved)} %"
 
 
 def _list_left_out(figure: Figure, snapshot: Snapshot, birds: IntArray, top: float) -> None:
@@ -171,7 +172,7 @@ def _list_left_out(figure: Figure, snapshot: Snapshot, birds: IntArray, top: flo
         figure.text(
             0.19 + 0.05 * column,
             (top - ROW * row) / height,
-            f"{i + 1}\n{snapshot.saved[i]:.1f} %",
+            f"{i + 1}\n{rounded(snapshot.saved[i])} %",
             ha="center",
             va="top",
             fontsize=SMALL,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib import get_data_path
 from matplotlib.colors import Normalize
 from matplotlib.ft2font import FT2Font
 
+from flock_tools.scene.lettering import rounded
 from flock_tools.scene.marker import UPWASH
 from flock_tools.scene.shapes import Scene
 
@@ -40,10 +41,10 @@ def upwash_image(shown: Scene) -> Pixels:
     with np.errstate(invalid="ignore"):
         colours = UPWASH(Normalize(-most, most, clip=True)(shown.upwash), bytes=True)[..., :3]
     air = colours.repeat(side, axis=0).repeat(side, axis=1)
-    return np.concatenate([air, _legend(f"{shown.most_upwash:.1f}", air.shape[1])])
+    return np.concatenate([air, _legend(rounded(shown.most_upwash), air.shape[1])])
 
 
-@cache
+@lru_cache(maxsize=64)
 def _legend(most: str, width: int) -> Pixels:
     """Return the colour scale of the air between the texts of its ends."""
     strip = np.full((LEGEND, width, 3), PAPER, dtype=np.uint8)
