@@ -158,7 +158,7 @@ def _empty(shown: Scene) -> Figure:
 def _title(snapshot: Snapshot) -> str:
     name = flock_name(snapshot.configuration, snapshot.member)
     saved = np.mean(snapshot.saved)
-    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {rounded(saved)} %"
+    return f"{name}\nt = {snapshot.state.time:g}:  mean drag reduction {rounded(float(saved))} %"
 
 
 def _list_left_out(figure: Figure, snapshot: Snapshot, birds: IntArray, top: float) -> None:
