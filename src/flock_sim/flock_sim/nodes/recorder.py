@@ -122,7 +122,7 @@ class RecorderNode(DrainedNode):
         if self._joined:
             taken += self._row_topics.take()
         else:
-            self._row_topics.make_room()
+            self._row_topics.make_room(self._session.epoch != NEVER)
             self._join()
         return taken > self.assembler.ignored - ignored
 

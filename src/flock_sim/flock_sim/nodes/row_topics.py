@@ -92,12 +92,15 @@ class RowTopics:
         inlets.append((self._times, "the clock"))
         return sorted({who for inlet, who in inlets if not inlet.connected})
 
-    def make_room(self) -> None:
+    def make_room(self, run_known: bool) -> None:
         """Drop messages that belong to no epoch of ours before they fill a queue.
 
-        Wings stay: each is sent only once, and our run may not be known yet.
+        Wings are taken once our run is known: each is sent only once, and is of all epochs.
         """
         if self._all_due():
+            if run_known:
+                for source in self._wings:
+                    self._take_all(source)
             for inlet in (self._times, *(source.inlet for source in self._sources)):
                 while inlet.take() is not None:
                     pass
