@@ -14,7 +14,7 @@ from flock_sim.analysis.state_digest import StateDigest
 from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.console.arguments import run_tool
-from flock_sim.errors import RunFailed
+from flock_sim.errors import FlockError, RunFailed
 from flock_sim.recording import flight_writer
 from flock_sim.recording.flight_writer import Recording, lay_down, recording
 from flock_sim.recording.machine import Machine, this_machine
@@ -123,6 +123,20 @@ def test_a_restarted_recorder_reads_the_rows_before_once_and_not_at_the_end(
         monkeypatch.setattr(flight_writer, "digest_of", lambda *_: pytest.fail("read again"))
         write(run, ROWS[9:])
     assert digest_in(bag) == expected()
+
+
+def test_rows_that_can_t_be_read_again_have_no_digest_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise FlockError("the bag can't be read: Input/output error")
+
+    bag = killed(tmp_path / "bag", 9)
+    monkeypatch.setattr(flight_writer, "digest_of", fail)
+    flown(bag, len(ROWS))
+    assert digest_in(bag) is None
+    warning = "the bag can't be read: Input/output error; so the bag gets no digest of its states"
+    assert capsys.readouterr().err == f"warning: {warning}\n"
 
 
 def test_a_bag_that_was_not_closed_has_no_digest_and_its_machine(tmp_path: Path) -> None:

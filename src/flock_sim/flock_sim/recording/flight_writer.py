@@ -14,6 +14,7 @@ from flock_sim.bag.writing.partial_bag import PartialBag
 from flock_sim.bag.writing.put_aside import files_aside
 from flock_sim.bag.writing.writer import BagWriter
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.console.arguments import note
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
@@ -180,9 +181,9 @@ class Recording:
         return self.bag.closed
 
     def read_digest(self) -> None:
-        """Compute the digest of the rows on disk; it has no row if they can't be read."""
+        """Compute the digest of the rows on disk. Raises FlockError if they can't be read."""
         self._digest = RowDigest(self._configuration)
-        with suppress(FlockError), BagReader(self.bag.path) as bag:
+        with BagReader(self.bag.path) as bag:
             self._digest = digest_of(bag, self._configuration)
 
     def _state_digest(self) -> str | None:
@@ -192,7 +193,10 @@ class Recording:
         exception such as Ctrl-C, or if single messages were written.
         """
         if self._digest.rows != self.bag.count(self._states[-1]):
-            self.read_digest()
+            try:
+                self.read_digest()
+            except FlockError as error:
+                note(f"warning: {error}; so the bag gets no digest of its states")
         return self._digest.text
 
     def _keep_machines(self) -> None:
@@ -312,7 +316,8 @@ def recording(
     )
     try:
         if resume:
-            run.read_digest()
+            with suppress(FlockError):  # it is tried again at the end
+                run.read_digest()
         yield run
     finally:
         run.close()
