@@ -229,10 +229,13 @@ def test_what_others_say_is_taken_out_and_is_no_news(context: Context) -> None:
 
 
 def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
-    context: Context, tmp_path: Path
+    context: Context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    now = [100.0]
+    monkeypatch.setattr(row_topics.time, "monotonic", lambda: now[0])
     with flock(context, tmp_path) as nodes:
         recorder = nodes["recorder"]
+        recorder._grants, recorder._perturbations = Stub(), Stub()
         one = np.ones(1)
         state = messages.State.at(CONFIGURATION, 0, *6 * [one], run_id=8, epoch=1).encode()
         wing = messages.Wing(8, 1, one).encode()
@@ -248,6 +251,11 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
         recorder.drain()
         assert states.waiting == memories.waiting == heard._times.waiting == []
         assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"
+        recorder._session.run_id, recorder._session.epoch = 8, 1
+        now[0] += 1.0
+        recorder.drain()
+        assert wings.waiting == []
+        assert recorder.assembler._wings == {1: wing}
 
 
 class Joined:

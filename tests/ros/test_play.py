@@ -149,8 +149,7 @@ def test_a_loop_is_played_until_it_is_stopped(terminal: Terminal, visitor: Visit
     assert 5 < len(part) < len(states)
     visitor.until(lambda: len(heard) > 3 * len(part) or not job.running)
     assert job.running, (job.process.returncode, job.stdout, job.stderr)
-    ask(visitor, "Stop")
-    done = job.wait()
+    done = visitor.stop_player(job)
     assert done.status == 0, done.stderr
     assert heard == (part * (len(heard) // len(part) + 1))[: len(heard)]
 

@@ -67,8 +67,7 @@ def test_keys_have_no_effect_if_they_are_disabled(terminal: Terminal, visitor: V
         )
         assert visitor.ask(srv.IsPaused, "/flock/player/is_paused").paused
         assert termios.tcgetattr(screen) == before
-        visitor.ask(srv.Stop, "/flock/player/stop")
-        done = job.wait()
+        done = visitor.stop_player(job)
         assert done.status == 0
         assert "space: pause" not in done.stderr
     finally:

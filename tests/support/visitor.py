@@ -17,11 +17,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from flock_interfaces.srv import Stop
 from flock_sim.ros.discovery import PROFILES, prepare_discovery
 from flock_sim.ros.endpoints import latched
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.process import ros_context
-from support.terminal import Job, Terminal, ports
+from support.terminal import Done, Job, Terminal, ports
 
 DEADLINE = 60.0
 """Longest wait for an answer or a message of a node, in s."""
@@ -91,6 +92,17 @@ class Visitor:
         self.until(lambda: not any(job.running for job in jobs))
         for job in jobs:
             assert job.wait().status == 0, job.stderr
+
+    def stop_player(self, job: Job) -> Done:
+        """Stop the player of `job`, and return what it has printed.
+
+        It may end before it has found the client, which then gets no answer.
+        """
+        client = self.client(Stop, "/flock/player/stop")
+        assert client.wait_for_service(DEADLINE), self._what_is_known()
+        client.call_async(Stop.Request())
+        self.until(lambda: not job.running)
+        return job.wait()
 
     def _what_is_known(self) -> str:
         """Return the known nodes and ports, to distinguish missing nodes from failed discovery."""

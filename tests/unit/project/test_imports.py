@@ -67,7 +67,7 @@ def test_the_kernels_of_a_bird_are_loaded_before_processes_are_forked() -> None:
         "print(*(k.__name__ for k in kernels if getattr(k, 'signatures', ()) == []))"
     )
     # These are called by other kernels only.
-    inner = {"has_header", "put_header", "row", "_finite", "_lack", "pointer"}
+    inner = {"has_header", "put_header", "row", "_finite", "_is_stage", "_lack", "pointer"}
     inner |= {
         "_add_force",
         "compute_force",
