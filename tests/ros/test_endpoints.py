@@ -19,6 +19,7 @@ from flock_interfaces.msg import Progress
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
 from flock_sim.messages import types as messages
+from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import FOREIGN
 from flock_sim.nodes import row_topics
 from flock_sim.nodes.announcements import Announcements
@@ -26,6 +27,7 @@ from flock_sim.nodes.bird import BirdNode
 from flock_sim.nodes.clock import ClockNode
 from flock_sim.nodes.recorder import RecorderNode
 from flock_sim.nodes.row_topics import LOOK_EVERY, Source
+from flock_sim.protocol.attendance import ABSENT
 from flock_sim.protocol.clock import Timekeeper
 from flock_sim.recording.flight_writer import recording
 from flock_sim.ros.endpoints import DrainedNode, latched
@@ -256,6 +258,21 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
         recorder.drain()
         assert wings.waiting == []
         assert recorder.assembler._wings == {1: wing}
+
+
+def test_a_recorder_that_waits_for_a_push_says_its_epoch(context: Context, tmp_path: Path) -> None:
+    with flock(context, tmp_path) as nodes:
+        recorder = nodes["recorder"]
+        told: list[messages.Progress] = []
+        recorder._progress = Stub()
+        recorder._progress.publish = lambda data: told.append(messages.Progress.decode(data))
+        recorder._grants, recorder._perturbations = Stub(), Stub()
+        recorder.report()
+        assert told == []
+        grant = messages.Grant(7, 0, 10, 1.0, 5, handshake(CONFIGURATION), 5)
+        recorder._hear_grant(grant.encode())
+        recorder.report()
+        assert [(one.run_id, one.epoch, one.step) for one in told] == [(7, 5, ABSENT)]
 
 
 class Joined:

@@ -13,6 +13,7 @@ from flock_sim.messages.epochs import NEVER, in_order, out_of_date
 from flock_sim.messages.topics import RECORDER
 from flock_sim.messages.types import Checkpoint, Grant, Memory, Progress, Push, State
 from flock_sim.nodes.requested_pushes import RequestedPushes
+from flock_sim.protocol.attendance import ABSENT
 from flock_sim.protocol.session import Session
 from flock_sim.recording.row_assembler import Row, RowAssembler
 
@@ -110,7 +111,7 @@ class Recorder:
             self.report()
 
     def report(self) -> None:
-        if self.joined:
+        if self._epoch != NEVER:
             self._say_saved(self._epoch)
 
     @property
@@ -118,7 +119,9 @@ class Recorder:
         return self._session.epoch
 
     def _say_saved(self, epoch: int) -> None:
-        saved = Progress(RUN, self._world.disk.saved, epoch, RECORDER, self._session.incarnation)
+        told = self.joined or epoch != self._epoch
+        step = self._world.disk.saved if told else ABSENT
+        saved = Progress(RUN, step, epoch, RECORDER, self._session.incarnation)
         self._world.publish(RECORDER, topics.PROGRESS_TOPIC, saved.encode())
 
     def _flush(self) -> None:

@@ -266,6 +266,16 @@ def test_a_push_is_repeated_until_the_recorder_has_begun_its_epoch() -> None:
     assert keeper.repeated == [keeper.grant]
 
 
+def test_a_recorder_that_waits_for_a_push_of_a_dead_clock_is_led_out_of_its_epoch() -> None:
+    keeper = clock(record=True)
+    reach(keeper, ABSENT, "recorder", epoch=1)
+    assert keeper.saved == ABSENT, "it has not begun the epoch"
+    assert "recorder" in keeper.waiting_for
+    (grant,) = reach(keeper, ABSENT, "recorder", epoch=7)
+    assert grant.epoch == 8
+    assert grant.perturbation == 0
+
+
 def test_the_epoch_after_the_last_is_the_first() -> None:
     keeper = Timekeeper(FlockConfiguration(birds=2), RUN, 4, False, epoch=2**32 - 1)
     (grant, _) = keeper.rewind()

@@ -22,6 +22,7 @@ from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MALFORMED, STALE
 from flock_sim.nodes.own_birds import announced
 from flock_sim.nodes.requested_pushes import RequestedPushes
 from flock_sim.nodes.row_topics import RowTopics
+from flock_sim.protocol.attendance import ABSENT
 from flock_sim.protocol.session import Session
 from flock_sim.recording.flight_writer import Recording
 from flock_sim.recording.own_parts import add_parts
@@ -143,9 +144,13 @@ class RecorderNode(DrainedNode):
         self._diagnostics.tell(self._status)
 
     def report(self) -> None:
-        """Repeat the progress report, for a clock that was restarted."""
-        if self._joined:
-            self._tell(self._run.saved)
+        """Repeat the progress report, for a clock that was restarted.
+
+        Before the epoch begins here, the report only says which epoch it is: a clock of an earlier
+        one could otherwise not know of it.
+        """
+        if self._session.epoch != NEVER:
+            self._tell(self._run.saved if self._joined else ABSENT)
 
     def keep_safe(self) -> None:
         """Write rows to disk if they are many or have waited for LINGER, and report it."""
