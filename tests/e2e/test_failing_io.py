@@ -150,6 +150,13 @@ class Flights:
             assert done.status == 0, done.stderr
             self.assert_equal()
 
+    def assert_equal_or_fly_again(self, done: Done) -> None:
+        """Assert that a flight without an error is whole, and that another can be flown again."""
+        if done.status == 0:
+            self.assert_equal()
+        else:
+            self.fly_again()
+
     def fly_again(self) -> None:
         """Assert that the flight can be flown again in the same directory."""
         force = ["--force"] if self.bag.exists() else []
@@ -235,10 +242,7 @@ def test_a_reference_flight_is_flown_again_after_any_failing_call(
         flights.remove()
         done, calls = flights.run(fault, first, "reference", *FLOCK, "--output", flights.bag)
         assert_safe(done, flights.bag, flights.reference)
-        if done.status == 0:
-            flights.assert_equal()
-        else:
-            flights.fly_again()
+        flights.assert_equal_or_fly_again(done)
         return calls
 
     let_fail(how, 4, trial)
@@ -263,10 +267,7 @@ def test_a_replaced_bag_or_the_new_one_is_there_after_any_failing_call(
             assert assert_begins_as(flights.bag, old) == 2 * 51
         else:
             assert assert_safe(done, flights.bag, flights.reference) > 0
-        if done.status == 0:
-            flights.assert_equal()
-        else:
-            flights.fly_again()
+        flights.assert_equal_or_fly_again(done)
         return calls
 
     let_fail(how, 3 if tool == "reference" else 1, trial)

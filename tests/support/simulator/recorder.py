@@ -75,7 +75,7 @@ class Recorder:
             return
         later = disk.later_epoch(grant.epoch)
         if self._epoch == NEVER and later != NEVER:
-            self._say_saved(later)
+            self._say(disk.saved, later)
             return
         if self._session.take_grant(grant):
             self._flush()
@@ -112,17 +112,15 @@ class Recorder:
 
     def report(self) -> None:
         if self._epoch != NEVER:
-            self._say_saved(self._epoch)
+            self._say(self._world.disk.saved if self.joined else ABSENT, self._epoch)
 
     @property
     def _epoch(self) -> int:
         return self._session.epoch
 
-    def _say_saved(self, epoch: int) -> None:
-        told = self.joined or epoch != self._epoch
-        step = self._world.disk.saved if told else ABSENT
-        saved = Progress(RUN, step, epoch, RECORDER, self._session.incarnation)
-        self._world.publish(RECORDER, topics.PROGRESS_TOPIC, saved.encode())
+    def _say(self, step: int, epoch: int) -> None:
+        progress = Progress(RUN, step, epoch, RECORDER, self._session.incarnation)
+        self._world.publish(RECORDER, topics.PROGRESS_TOPIC, progress.encode())
 
     def _flush(self) -> None:
         self._world.put_on_disk(self._written)
