@@ -248,12 +248,13 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
             Source(states, recorder.assembler.add_state, 1),
             Source(memories, recorder.assembler.add_memory, 1),
         ]
-        heard._wings = [Source(wings, recorder._hear_wing, 1)]
+        heard._wings = [Source(wings, recorder.protocol.receive_wing, 1)]
         heard._times = Stub(messages.Time.at(0).encode())
         recorder.drain()
         assert states.waiting == memories.waiting == heard._times.waiting == []
         assert wings.waiting == [wing], "said once, and it is not known yet whose it must be"
-        recorder._session.run_id, recorder._session.epoch = 8, 1
+        session = recorder.protocol._session
+        session.run_id, session.epoch = 8, 1
         now[0] += 1.0
         recorder.drain()
         assert wings.waiting == []
@@ -262,17 +263,14 @@ def test_a_recorder_that_waits_for_its_flock_empties_its_queues(
 
 def test_a_recorder_that_waits_for_a_push_says_its_epoch(context: Context, tmp_path: Path) -> None:
     with flock(context, tmp_path) as nodes:
-        recorder = nodes["recorder"]
-        told: list[messages.Progress] = []
-        recorder._progress = Stub()
-        recorder._progress.publish = lambda data: told.append(messages.Progress.decode(data))
-        recorder._grants, recorder._perturbations = Stub(), Stub()
-        recorder.report()
-        assert told == []
+        protocol = nodes["recorder"].protocol
+        assert protocol.report() == []
         grant = messages.Grant(7, 0, 10, 1.0, 5, handshake(CONFIGURATION), 5)
-        recorder._hear_grant(grant.encode())
-        recorder.report()
-        assert [(one.run_id, one.epoch, one.step) for one in told] == [(7, 5, ABSENT)]
+        assert protocol.receive_grant(grant.encode()) == []
+        assert not protocol.may_join
+        assert protocol.waiting_for == "the clock's perturbation"
+        [told] = protocol.report()
+        assert (told.run_id, told.epoch, told.step) == (7, 5, ABSENT)
 
 
 class Joined:
@@ -282,7 +280,8 @@ class Joined:
         self.recorder = recorder
         self.now = 100.0
         monkeypatch.setattr(row_topics.time, "monotonic", lambda: self.now)
-        recorder._session.run_id, recorder._session.epoch, recorder._joined = 7, 1, True
+        session = recorder.protocol._session
+        session.run_id, session.epoch, recorder.protocol.joined = 7, 1, True
         recorder.assembler.begin(7, 1)
         one = np.ones(1)
         self.wings = [Stub(messages.Wing(7, bird, one).encode()) for bird in (1, 2, 3)]
@@ -291,7 +290,8 @@ class Joined:
         heard = recorder._row_topics
         heard._times = self.times = Stub()
         heard._wings = [
-            Source(stub, recorder._hear_wing, bird) for bird, stub in enumerate(self.wings, 1)
+            Source(stub, recorder.protocol.receive_wing, bird)
+            for bird, stub in enumerate(self.wings, 1)
         ]
         heard._sources = [
             Source(stub, recorder.assembler.add_state, bird)

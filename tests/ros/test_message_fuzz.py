@@ -342,9 +342,8 @@ def fly_among_anything(
                 flight.act()
                 break
         assert_bounded(node, flight.wires.warned)
-        for each in flight.nodes:
-            if hasattr(each, "protocol"):
-                assert_reportable(status([each]))
+        for each in flight.birds:
+            assert_reportable(status([each]))
         assert_reportable(flight.clock._status())
         assert_reportable(flight.recorder._status())
     return fuzz.total

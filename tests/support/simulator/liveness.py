@@ -91,7 +91,9 @@ def most_epochs(world: World) -> int:
     unheard = sum(life not in known[who] for who, life in lives)
     unheard -= sum(not heard for heard in known.values())  # the first one of each begins no epoch
     epochs = {progress.epoch for progress in told} | set(granted)
-    epochs |= {process.core._session.epoch for process in nodes} | {world.disk.epoch}
+    epochs |= {process.core._session.epoch for process in nodes}
+    if world.disk.last_grant:
+        epochs.add(world.disk.last_grant.epoch)
     others = len(epochs - {NEVER, keeper.epoch})
     return unheard + others + world.forged_effects + int(world.may_stand_still)
 

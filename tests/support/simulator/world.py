@@ -34,6 +34,7 @@ from flock_sim.messages.types import (
     Time,
     Wing,
 )
+from flock_sim.nodes.recorder_protocol import RecorderProtocol
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.protocol.bird import BirdProtocol
@@ -42,7 +43,7 @@ from flock_sim.protocol.session import Channel, Outgoing
 from flock_sim.recording.row_assembler import Row
 from support.network import expected_states
 from support.simulator.liveness import most_deliveries, most_epochs
-from support.simulator.recorder import RUN, Disk, Recorder
+from support.simulator.recorder import RUN, Disk, SimulatedRecording
 from support.simulator.wires import Process, Queue, Wires
 
 CLOCK = "clock"
@@ -88,7 +89,7 @@ class World:
         self.forgers: list[Process] = []
         """Processes whose latched messages are forged."""
         self.wires = Wires(random)
-        self.disk = Disk()
+        self.disk = Disk(self._check_row)
         self.over = False
         """Whether the clock has released all processes: it then ignores messages."""
         self.forged = 0
@@ -116,10 +117,6 @@ class World:
     @property
     def dead(self) -> list[str]:
         return [who for who in self.everybody if who not in self.living]
-
-    @property
-    def all_birds_live(self) -> bool:
-        return all(who in self.living for who in self.birds)
 
     @property
     def processes(self) -> list[Process]:
@@ -259,20 +256,21 @@ class World:
         return Process(who, life, keeper, {topics.PROGRESS_TOPIC: hear})
 
     def _recorder(self, who: str, life: int) -> Process:
-        recorder = Recorder(self, life)
+        recording: Any = SimulatedRecording(self.disk)
+        recorder = RecorderProtocol(self.configuration, recording, RUN, life, self.stages)
         assembler = recorder.assembler
+        process = Process(who, life, recorder)
 
         def hears(add: Callable[..., list[Row]], *what: int) -> Callable[[bytes], None]:
             return lambda data: recorder.write(add(*what, data))
 
-        process = Process(who, life, recorder)
         process.hears = {
-            topics.GRANT_TOPIC: lambda data: recorder.hear_grant(Grant.decode(data)),
-            topics.PERTURBATION_TOPIC: recorder.hear_push,
+            topics.GRANT_TOPIC: lambda data: self._report(process, recorder.receive_grant(data)),
+            topics.PERTURBATION_TOPIC: recorder.receive_push,
             topics.CLOCK_TOPIC: hears(assembler.add_time),
         }
         for bird in range(1, self.configuration.birds + 1):
-            process.hears[topics.wing_topic(bird)] = hears(assembler.add_wing, bird)
+            process.hears[topics.wing_topic(bird)] = hears(recorder.receive_wing, bird)
             process.hears[topics.state_topic(bird)] = hears(assembler.add_state, bird)
             process.hears[topics.memory_topic(bird)] = hears(assembler.add_memory, bird)
             if self.stages:
@@ -280,10 +278,6 @@ class World:
         return process
 
     # --- messages ---
-
-    def publish(self, who: str, topic: str, data: bytes) -> None:
-        """Send a message to all current listeners, and keep it for late joiners."""
-        self._publish(self.living[who], topic, data)
 
     def post_forged(self, topic: str, data: bytes, *to: str, latched: bool = False) -> None:
         """Send a message of a forger `to` processes, or to some listeners of the topic.
@@ -350,9 +344,13 @@ class World:
     def _pushes_on_disk(self) -> tuple[str, ...]:
         return tuple(map(str, self.disk.live.values()))
 
-    def begin_epoch(self, epoch: int) -> None:
-        """Note that the recorder begins `epoch` with the pushes on disk."""
-        self._pushes[epoch] = self._pushes_on_disk
+    def _report(self, recorder: Process, out: Iterable[Progress | Checkpoint]) -> None:
+        for message in out:
+            topic = topics.PROGRESS_TOPIC
+            if isinstance(message, Checkpoint):
+                topic = topics.CHECKPOINT_TOPIC
+                self._pushes[message.epoch] = self._pushes_on_disk
+            self._publish(recorder, topic, message.encode())
 
     def _say(self, messages: Iterable[Any]) -> None:
         for message in messages:
@@ -366,23 +364,22 @@ class World:
                 Checkpoint: topics.CHECKPOINT_TOPIC,
                 Push: topics.PERTURBATION_TOPIC,
             }[type(message)]
-            self.publish(CLOCK, topic, message.encode())
+            self._publish(self.living[CLOCK], topic, message.encode())
 
     def _check_leave(self, grant: Grant) -> None:
         if self.record and grant.step <= grant.end:
             ahead = topics.steps_ahead(self.configuration, self.stages)
             assert grant.step <= max(self.disk.saved, 0) + ahead, "more leave than queues can hold"
 
-    def put_on_disk(self, rows: Iterable[Row]) -> None:
-        for row in rows:
-            due = 0 if self.disk.saved < 0 else self.disk.saved + self.configuration.record_every
-            assert row.step == due, "rows once each, in order"
-            pushes = self._pushes_on_disk
-            assert row.states == [self._state(who, row.step, pushes) for who in self.birds]
-            assert Time.decode(row.time).stamp == self.configuration.stamp(row.step)
-            if self.stages:
-                self._check_stages(row)
-            self.disk.rows.append(row)
+    def _check_row(self, row: Row) -> None:
+        """Check a row that is about to be put on disk."""
+        due = 0 if self.disk.saved < 0 else self.disk.saved + self.configuration.record_every
+        assert row.step == due, "rows once each, in order"
+        pushes = self._pushes_on_disk
+        assert row.states == [self._state(who, row.step, pushes) for who in self.birds]
+        assert Time.decode(row.time).stamp == self.configuration.stamp(row.step)
+        if self.stages:
+            self._check_stages(row)
 
     def _check_stages(self, row: Row) -> None:
         steps = range(max(0, row.step - self.configuration.record_every), row.step)
@@ -467,8 +464,9 @@ class World:
         return True
 
     def flush(self) -> None:
-        if RECORDER in self.living:
-            self.living[RECORDER].core.keep_safe()
+        recorder = self.living.get(RECORDER)
+        if recorder and recorder.core.unsaved:
+            self._report(recorder, recorder.core.save())
 
     def report(self) -> None:
         """Let all processes repeat their reports, as they do every second."""
@@ -477,13 +475,16 @@ class World:
                 if not self.over:
                     self._say(process.core.repeated)
             elif who == RECORDER:
-                process.core.report()
+                self._report(process, process.core.report())
         for process in self.bird_processes:
             self._send(process, process.core.report())
 
     def _look_around(self) -> None:
-        if RECORDER in self.living:
-            self.living[RECORDER].core.join()
+        recorder = self.living.get(RECORDER)
+        if recorder and recorder.core.may_join:
+            complete = recorder.core.assembler.complete
+            if complete or all(who in self.living for who in self.birds):
+                self._report(recorder, recorder.core.join())
         if CLOCK in self.living and self.keeper.finished and not self.over:
             self.over = True
             self.wires.drop([q for q in self.wires.queues if q.sender.who == FORGER])
