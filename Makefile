@@ -2,7 +2,9 @@
 # PYTHON=python3.12 chooses the Python; PYTEST_ARGS="-k name" goes to pytest, WORKERS=1 runs one test at a time, and
 # ALL=1 runs the slow tests too, as .ci/run does.
 
-WORKERS = $(shell nproc)
+CORES = $(shell nproc)
+# Most tests of flights wait half of their time. A worker needs up to 1 GB of memory.
+WORKERS = $(shell echo $$(($(CORES) < 8 ? 2 * $(CORES) : 16)))
 
 .PHONY: setup demo test test-packages test-kilted other-machine simulate torture fuzz lint docs-packages docs bench figures clean help
 
@@ -33,7 +35,7 @@ other-machine: setup  ## fly the golden flights on emulated processors: 64-bit A
 	@tools/other-machine
 
 simulate: setup  ## fly a million steps of simulated birds with all faults, and check each state (half an hour)
-	@./flock python tests/simulate.py --jobs $(WORKERS) $(SIMULATE_ARGS)
+	@./flock python tests/simulate.py --jobs $(CORES) $(SIMULATE_ARGS)
 
 torture: simulate  ## kill, interrupt and forge the messages of flights, attack bags, and let each I/O call fail (some hours)
 	@cd tests && ../flock python torture.py $(TORTURE_ARGS)

@@ -20,11 +20,13 @@ import pytest
 
 from flock_sim.bag.directory import DAMAGED
 from flock_sim.bag.writing.partial_bag import recorded_in
+from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.launcher.fork_server import ForkServer
 from flock_sim.recording.run import Run
 from support.bags import assert_begins_as, assert_equal
 from support.failing_io import ERRORS, SHORT, Call, FailingIO, Fault, failing_server
+from support.flights import record
 from support.terminal import Done, Terminal
 
 COUNT = int(os.environ.get("FLOCK_IO_FAULTS", "0"))
@@ -33,10 +35,13 @@ COUNT = int(os.environ.get("FLOCK_IO_FAULTS", "0"))
 FLOCK = ("--birds", 3, "--t-max", 2000, "--record-every", 10)
 STATES = 3 * 201
 
-LONG = ("--birds", 3, "--t-max", 30000, "--record-every", 10)
+LONG = FlockConfiguration(birds=3, t_max=30_000.0, record_every=10)
 """A flight whose bag has several chunks."""
 
-every_error = pytest.mark.parametrize("how", ERRORS)
+every_error = pytest.mark.parametrize(
+    "how",
+    [pytest.param(how, marks=[] if how == "one call" else pytest.mark.slow) for how in ERRORS],
+)
 
 Trial = Callable[[Fault, int], list[Call]]
 """Lets a call fail, and checks what follows. Returns the calls of the tool."""
@@ -47,6 +52,21 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForkServer]:
     """A server of tools whose calls can fail."""
     with failing_server(tmp_path_factory.mktemp("failing-io")) as opened:
         yield opened
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference of FLOCK."""
+    configuration = FlockConfiguration(birds=3, t_max=2000.0, record_every=10)
+    return record(tmp_path_factory.mktemp("reference") / "bag", configuration)
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of LONG, damaged in its middle."""
+    torn = record(tmp_path_factory.mktemp("damaged") / "bag", LONG)
+    spoil(torn, "damaged")
+    return torn
 
 
 def let_fail(how: str, few: int, trial: Trial) -> None:
@@ -165,14 +185,13 @@ class Flights:
 
 
 @pytest.fixture
-def flights(terminal: Terminal, server: ForkServer) -> Flights:
-    bags, reference = terminal.directory / "bags", terminal.directory / "reference"
+def flights(terminal: Terminal, server: ForkServer, reference: Path) -> Flights:
+    bags = terminal.directory / "bags"
     bags.mkdir()
-    terminal.well("reference", *FLOCK, "--output", reference)
     return Flights(terminal, FailingIO(terminal, server, bags), bags / "bag", reference)
 
 
-@pytest.mark.parametrize("tool", ["fly", "reference"])
+@pytest.mark.parametrize("tool", [pytest.param("fly", marks=pytest.mark.slow), "reference"])
 def test_short_writes_change_nothing(flights: Flights, tool: str) -> None:
     fault = Fault(SHORT, lasting=True)
     done, calls = flights.run(fault, 1, tool, *FLOCK, "--output", flights.bag)
@@ -276,26 +295,23 @@ def test_a_replaced_bag_or_the_new_one_is_there_after_any_failing_call(
 @every_error
 @pytest.mark.parametrize("place", ["beside", "in place"])
 def test_a_damaged_bag_is_repaired_after_any_failing_call(
-    flights: Flights, place: str, how: str
+    flights: Flights, damaged: Path, place: str, how: str
 ) -> None:
-    torn = flights.terminal.directory / "torn" / "bag"
-    flights.terminal.well("reference", *LONG, "--output", torn)
-    spoil(torn, "damaged")
     source = flights.bag if place == "in place" else flights.bag.with_name("source")
     repaired = flights.terminal.directory / "repaired" / "bag"
-    flights.terminal.well("repair", torn, "--output", repaired)
+    flights.terminal.well("repair", damaged, "--output", repaired)
     whole = intact(repaired)
 
     def trial(fault: Fault, first: int) -> list[Call]:
         flights.remove()
-        shutil.copytree(torn, source, dirs_exist_ok=True)
+        shutil.copytree(damaged, source, dirs_exist_ok=True)
         repair = ("repair", source, "--output", flights.bag)
         force = ["--force"] if place == "in place" else []
         _, calls = flights.run(fault, first, *repair, *force)
         if place == "in place":
             assert intact(source) == whole
         else:
-            assert content(source) == content(torn)
+            assert content(source) == content(damaged)
             if is_complete(flights.bag):
                 assert intact(flights.bag) == whole
         flights.terminal.well(*repair, *(["--force"] if flights.bag.exists() else []))

@@ -21,7 +21,7 @@ from support.varied_flights import cut
 LAWS = Path(__file__).parents[1] / "support/laws.py"
 BIRD = "flock_sim.nodes.bird_process"
 
-STEPS = 12_000
+STEPS = 5_000
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10)
 FORCING = (
     *("--forcing", "gust:std=1e-5,time=30,seed=4/5"),
@@ -35,7 +35,10 @@ def laws(terminal: Terminal) -> Path:
     return Path(shutil.copy(LAWS, terminal.directory / "laws.py"))
 
 
-@pytest.mark.parametrize("links", [(), ("--link", "hold:interval=3,delay=2,drop=0.2")], ids=str)
+LINKS = ("--link", "hold:interval=3,delay=2,drop=0.2")
+
+
+@pytest.mark.parametrize("links", [(), pytest.param(LINKS, marks=pytest.mark.slow)], ids=str)
 def test_a_flight_is_killed_and_resumed_with_the_law_that_it_was_begun_with(
     terminal: Terminal, laws: Path, links: tuple[object, ...]
 ) -> None:

@@ -48,8 +48,11 @@ def assert_as_the_reference(terminal: Terminal, steps: int, *flock: object) -> N
 
 @pytest.mark.parametrize(
     "flock",
-    [(*FLOCK, *MIXED), (*FLOCK, *EXACT_TOO), (*MANY, *LATE_LOSSY_NOISY)],
-    ids=["sparse", "every stage", "64 members"],
+    [
+        pytest.param((*FLOCK, *MIXED), id="sparse"),
+        pytest.param((*FLOCK, *EXACT_TOO), id="every stage"),
+        pytest.param((*MANY, *LATE_LOSSY_NOISY), id="64 members", marks=pytest.mark.slow),
+    ],
 )
 def test_a_flight_over_bad_links_with_kills_is_that_of_the_reference(
     terminal: Terminal, visitor: Visitor, flock: tuple[object, ...]

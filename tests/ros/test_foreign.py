@@ -12,6 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import pytest
 from rosgraph_msgs.msg import Clock
 
 from flock_interfaces.msg import BirdStage, BirdState, BirdWing, Checkpoint, Grant, Progress
@@ -63,6 +64,7 @@ def test_two_flights_on_one_domain_do_not_touch_each_other(terminal: Terminal) -
         assert_equal(terminal, name, f"{name}-again", 2 * (3000 // EVERY + 1))
 
 
+@pytest.mark.slow
 def test_two_flocks_by_hand_with_run_ids_do_not_touch_each_other(terminal: Terminal) -> None:
     flock = ("-p", "birds:=2", "-p", "t_max:=1000.0")
     ratios = {7: "0.97", 8: "1.03"}

@@ -194,6 +194,10 @@ def test_fly_shows_logs_if_asked(terminal: Terminal) -> None:
     assert json.loads(done.stdout)["last_step"] == 20
 
 
+def _nanoseconds(time: Clock) -> int:
+    return int(time.clock.sec * 10**9 + time.clock.nanosec)
+
+
 @pytest.mark.parametrize("every", [0, 1, 4])
 def test_clock_is_as_fine_as_asked_and_the_flight_is_the_same(
     terminal: Terminal, visitor: Visitor, every: int
@@ -208,13 +212,8 @@ def test_clock_is_as_fine_as_asked_and_the_flight_is_the_same(
     due = [s for s in range(last + 1) if s % 10 == 0 or (every and s % every == 0)]
     stamps = [configuration.stamp(step) for step in due]
     heard = visitor.hear(Clock, "/clock", depth=topics.MOST_TIMES)
-    told: list[int] = []
-
-    def has_the_last() -> bool:
-        told[:] = [c.clock.sec * 10**9 + c.clock.nanosec for c in heard]
-        return stamps[-1] in told
-
-    visitor.until(has_the_last)
+    visitor.until(lambda: heard and _nanoseconds(heard[-1]) == stamps[-1])
+    told = [*map(_nanoseconds, heard)]
     assert len(told) > 10
     assert told == stamps[-len(told) :]
     visitor.stop(job)

@@ -77,6 +77,7 @@ def test_a_bird_in_plain_rclpy_flies_between_birds_of_flock(terminal: Terminal) 
     assert run.mean_speed.sel(bird=2).isnull().all()
 
 
+@pytest.mark.slow
 def test_a_plain_bird_starts_again_after_its_death(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:

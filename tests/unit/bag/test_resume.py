@@ -160,6 +160,7 @@ def noted(path: Path) -> dict[str, dict[str, str]]:
     return found
 
 
+@pytest.mark.slow
 def test_metadata_between_chunks_is_kept_and_that_at_the_end_is_dropped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -163,6 +163,7 @@ sixth = lambda bird: 1.0
 """
 
 
+@pytest.mark.slow
 def test_a_law_may_call_functions_of_its_file_and_return_whole_numbers(tmp_path: Path) -> None:
     plain = fly(FlockConfiguration(birds=1, t_max=5.0, forcing=("constant:force=1",)))
     for name in ("one", "other", "third", "fourth", "fifth", "sixth"):

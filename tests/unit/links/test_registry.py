@@ -42,6 +42,7 @@ def flown(*links: str) -> np.ndarray:
     return np.stack([state.speed for state in Reference(configuration).fly()])
 
 
+@pytest.mark.slow
 def test_models_that_do_what_built_in_ones_do_make_the_same_flight_to_the_bit():
     register(LinkModel("frozen", frozen))
     register(LinkModel("moved", moved))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from random import Random
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
@@ -216,7 +217,7 @@ class Adversary(RuleBasedStateMachine):
         assert {bird: log.states for bird, log in network.log.items()} == expected
 
 
-TestAdversary = Adversary.TestCase
+TestAdversary = pytest.mark.slow(Adversary.TestCase)
 TestAdversary.settings = settings(max_examples=300, stateful_step_count=40)
 
 

@@ -124,6 +124,7 @@ def test_a_flight_with_a_registered_model_is_repeated_where_it_is_registered(
         assert repeated.own_parts == [FROZEN]
 
 
+@pytest.mark.slow
 def test_where_it_is_not_registered_the_bag_is_read_and_its_flight_not_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def test_without_fma_and_avx2_in_the_c_library_and_numpy() -> None:
     assert answer.digests == committed_digests()
 
 
+@pytest.mark.slow
 def test_with_kernels_for_a_generic_processor() -> None:
     # Compiled in the first run only: the code is kept under the name of that processor.
     answer = ask(NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")

@@ -103,7 +103,7 @@ STD = 1e-7
     [
         ("nearest", (), 0.0, 20_000),
         ("all", (), 0.0, 20_000),
-        ("nearest", ("exact:delay=20",), 20.0, 150_000),
+        pytest.param("nearest", ("exact:delay=20",), 20.0, 150_000, marks=pytest.mark.slow),
     ],
 )
 def test_gaps_in_gusts_have_the_standard_deviations_of_theory(
