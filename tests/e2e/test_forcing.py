@@ -21,7 +21,7 @@ from support.varied_flights import cut
 LAWS = Path(__file__).parents[1] / "support/laws.py"
 BIRD = "flock_sim.nodes.bird_process"
 
-STEPS = 5_000
+STEPS = 12_000
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10)
 FORCING = (
     *("--forcing", "gust:std=1e-5,time=30,seed=4/5"),

@@ -20,7 +20,7 @@ from flock_interfaces.msg import BirdState
 from flock_interfaces.srv import Resume
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages import topics
-from flock_sim.ros.endpoints import DrainedNode
+from flock_sim.ros.endpoints import DrainedNode, latched
 from flock_sim.ros.parameters.late_services import LateParameters
 from support.bags import assert_stopped_as_the_reference, last_step
 from support.terminal import Job, Terminal
@@ -148,7 +148,8 @@ def test_services_are_created_one_by_one_within_their_share_of_the_time(
 
 def test_nodes_log_their_flight_to_rosout(terminal: Terminal, visitor: Visitor) -> None:
     heard: list[Log] = []
-    visitor.node.create_subscription(Log, "/rosout", heard.append, 1000)
+    # ROS keeps logs for late listeners for ten seconds. Each process of birds logs only once.
+    visitor.node.create_subscription(Log, "/rosout", heard.append, latched(1000))
     job = fly(terminal, "--birds", 2, "--t-max", "1e7", "--record-every", 1000, "--output", "bag")
     visitor.until(lambda: any("the flock flies" in log.msg for log in heard))
     visitor.until(lambda: any("is in flight" in log.msg for log in heard))
