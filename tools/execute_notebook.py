@@ -20,7 +20,7 @@ def main() -> None:
     """Execute the notebook."""
     notebook = nbformat.read(NOTEBOOK, 4)
     client = nbclient.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", record_timing=False
+        notebook, timeout=600, kernel_name="python3", record_timing=False, coalesce_streams=True
     )
     client.execute()
     for cell in notebook.cells:

@@ -75,9 +75,15 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     directory = tmp_path_factory.mktemp("pip")
     made = Installed(directory)
     venv = str(directory / "venv")
-    pip = [sys.executable, "-m", "pip", "--python", venv, "--disable-pip-version-check"]
+    pip = [sys.executable, "-P", "-m", "pip", "--disable-pip-version-check"]
+    cache = subprocess.check_output([*pip, "cache", "dir"], text=True).strip()
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True)
-    subprocess.run([*pip, "install", "--quiet", "--no-compile", f"{ROOT}[notebook]"], check=True)
+    subprocess.run(
+        [*pip, "--python", venv, "install", "--quiet", "--no-compile", "--cache-dir", cache]
+        + [f"{ROOT}[notebook]"],
+        check=True,
+        env=made.environment,
+    )
     return made
 
 
