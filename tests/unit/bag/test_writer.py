@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.records import DataEnd, Message
 from mcap.stream_reader import StreamReader
 
+from flock_sim.bag import limits
 from flock_sim.bag.reading.reader import BagReader
 from flock_sim.bag.topic import Topic
 from flock_sim.bag.writing.writer import BagWriter
@@ -203,3 +204,31 @@ def test_a_type_that_is_not_installed_is_refused_before_anything_is_written(
     with pytest.raises(FlockError, match="nowhere/msg/Nothing is not installed"):
         BagWriter(tmp_path / "bag", [Topic("/x", "nowhere/msg/Nothing")], {})
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("LARGEST_CHUNK", "bytes of one recorded step"), ("LARGEST_MESSAGE", "bytes of one message")],
+)
+def test_a_row_that_readers_would_refuse_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, words: str
+) -> None:
+    monkeypatch.setattr(limits, "LARGEST_MESSAGE", 3_000)
+    monkeypatch.setattr(limits, name, 3_000)
+    row = [(topic.name, 7, bytes(2_900)) for topic in TOPICS[:2]]
+    length = 2_900 + 22  # channel, sequence and two times come before the data
+    bag = BagWriter(tmp_path / "bag", TOPICS, METADATA)
+    bag.write_together(row[:1])
+    bag.flush()
+    if name == "LARGEST_MESSAGE":
+        row[1] = (row[1][0], 7, bytes(2_979))
+        length = 2_979 + 22
+    size = length if name == "LARGEST_MESSAGE" else 2 * (length + 9)
+    bag.write_together(row)
+    with pytest.raises(RunFailed, match=rf"get {size} {words}, more than the limit of 3000; fly"):
+        bag.flush()
+    with pytest.raises(RunFailed, match="more than the limit"):
+        bag.write_together(row[:1])
+    bag.close()
+    with BagReader(tmp_path / "bag") as read:
+        assert [len(data) for _, _, data in read.messages()] == [2_900]

@@ -92,6 +92,15 @@ class OpenChunk:
                 del entries[-2:]
         del self._body[self.size :]
 
+    @property
+    def largest(self) -> int:
+        """Length of the record of the largest message, in bytes; 0 without messages."""
+        starts = sorted(at for _, entries in self._entries for at in entries[1::2])
+        ends = [*starts[1:], len(self._body)]
+        return (
+            max((end - start for start, end in zip(starts, ends)), default=FRAME.size) - FRAME.size
+        )
+
     def clear(self) -> None:
         """Drop everything."""
         self.size = 0

@@ -8,6 +8,7 @@ from pathlib import Path
 from mcap.records import Metadata
 from zstandard import ZstdCompressor
 
+from flock_sim.bag import limits
 from flock_sim.bag.chunk import OpenChunk
 from flock_sim.bag.definitions import Definition, installed_definition
 from flock_sim.bag.file_sections import Layout
@@ -115,7 +116,8 @@ class BagWriter:
 
         Messages written before are then safe if this process is killed (in a power cut, after the
         system has written them to the disk). Does nothing without new messages.
-        Raises RunFailed if the chunk can't be stored: it is then left out completely.
+        Raises RunFailed if the chunk can't be stored, or is larger than readers accept: it is then
+        left out completely.
         """
         if self._failure is not None:
             self._chunk.clear()
@@ -123,10 +125,29 @@ class BagWriter:
         self._chunk.drop_incomplete()
         if not self._chunk.size:
             return
+        self._check_size()
         sealed = self._chunk.seal(self._disk.size, self._compressor)
         self._chunk.clear()
         with self._keeping_failure():
             self._disk.append(sealed)
+
+    def _check_size(self) -> None:
+        """Raise RunFailed if readers would refuse the chunk. Its messages are then left out."""
+        size = self._chunk.size
+        if size <= limits.LARGEST_MESSAGE:
+            return
+        largest = self._chunk.largest
+        beyond = ""
+        if size > limits.LARGEST_CHUNK:
+            beyond = limits.beyond(size, limits.LARGEST_CHUNK, "bytes of one recorded step")
+        elif largest > limits.LARGEST_MESSAGE:
+            beyond = limits.beyond(largest, limits.LARGEST_MESSAGE, "bytes of one message")
+        if beyond:
+            self._chunk.clear()
+            with self._keeping_failure():
+                raise RunFailed(
+                    f"recording to {self.path} failed: it would get {beyond}; fly fewer members"
+                )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a named record to the file, behind its last chunk; raises RunFailed as `flush`."""
