@@ -34,7 +34,7 @@ test-kilted:  ## fly with ROS 2 Kilted, which has Fast DDS 3, from a copy of thi
 other-machine: setup  ## fly the golden flights on emulated processors: 64-bit Arm, and x86 without FMA (needs Debian and qemu-user)
 	@tools/other-machine
 
-simulate: setup  ## fly a million steps of simulated birds with all faults, and check each state (half an hour)
+simulate: setup  ## fly a million steps of simulated birds with all faults, and check each state (five minutes)
 	@./flock python tests/simulate.py --jobs $(CORES) $(SIMULATE_ARGS)
 
 torture: simulate  ## kill, interrupt and forge the messages of flights, attack bags, and let each I/O call fail (some hours)
@@ -43,12 +43,12 @@ torture: simulate  ## kill, interrupt and forge the messages of flights, attack 
 	@FLOCK_RANDOM_FLIGHTS=200 FLOCK_INTERRUPTS=200 FLOCK_FORGERIES=216 FLOCK_VARIED_FLIGHTS=200 \
 		./flock python -m pytest -q tests/e2e/test_random_flights.py tests/e2e/test_interrupts.py \
 		tests/e2e/test_offline_tools.py tests/ros/test_forged.py
-	@FLOCK_IO_FAULTS=1000 ./flock python -m pytest -q -o faulthandler_timeout=36000 tests/e2e/test_failing_io.py
+	@FLOCK_IO_FAULTS=1000 ./flock python -m pytest -q -n $(CORES) -o faulthandler_timeout=36000 tests/e2e/test_failing_io.py
 
-fuzz: setup  ## read 100,000 random files of users of each kind, and send 1,000,000 messages to each node (two hours)
-	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py \
+fuzz: setup  ## read 100,000 random files of users of each kind, and send 1,000,000 messages to each node (some hours)
+	@FLOCK_FUZZ=100000 ./flock python -m pytest -q -n $(CORES) -o faulthandler_timeout=3600 tests/unit/outside/test_fuzz.py \
 		tests/unit/bag/test_random_bags.py
-	@FLOCK_FUZZ=1000000 ./flock python -m pytest -q -o faulthandler_timeout=36000 tests/ros/test_message_fuzz.py
+	@FLOCK_FUZZ=1000000 ./flock python -m pytest -q -n $(CORES) -o faulthandler_timeout=36000 tests/ros/test_message_fuzz.py
 
 lint: setup  ## check style and types
 	@./flock python -m ruff check
