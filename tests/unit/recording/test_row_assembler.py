@@ -281,7 +281,8 @@ def test_a_new_epoch_takes_nothing_of_the_old_one(
     rows += [out for letter in new for out in give(assembler, letter)]
     due = expected(stages)
     assert [(row.step, row.time) for row in rows] == [(row.step, row.time) for row in due]
-    assert [row.states for row in rows[begun:]] == [row.states for row in due[begun:]]
+    old_states = [[*map(faster, row.states)] for row in due[:begun]]
+    assert [row.states for row in rows] == old_states + [row.states for row in due[begun:]]
     assert rows[0].wings == expected(stages)[0].wings
     assert assembler.complete
 
