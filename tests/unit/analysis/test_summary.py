@@ -11,6 +11,7 @@ from flock_sim.analysis.metrics import Metrics, measure
 from flock_sim.analysis.summary import MOST_MEMBERS, summary
 from flock_sim.analysis.time_means import Averaging
 from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.errors import FlockError
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.reference.integrator import Reference
 
@@ -144,3 +145,10 @@ def test_a_flock_that_is_not_finite_has_a_summary() -> None:
 def test_what_cannot_be_saved_alone_has_no_sign() -> None:
     text = summary_of(FlockConfiguration(birds=1, t_max=10.0))
     assert "mean drag reduction  0.00 %" in text
+
+
+@pytest.mark.parametrize("until", [-8e306, -1.0, 12.0, 1e308, np.inf, np.nan])
+def test_means_up_to_a_time_outside_of_the_flight_are_refused(until: float) -> None:
+    configuration = FlockConfiguration(birds=3, t_max=10.0)
+    with pytest.raises(FlockError, match="must be 0 to t_max = 10"):
+        Averaging(configuration, until, None)

@@ -53,13 +53,16 @@ class Averaging:
         """Average over the time `over`, in b / U_min, up to `until`, both in b / U_min.
 
         None is SHARE of the time up to `until`. At least the means of one record are used. Raises
-        FlockError if `over` is not above 0.
+        FlockError if `over` is not above 0, or if `until` is not a time of the flight.
         """
         if over is not None and not 0.0 < over < np.inf:
             raise FlockError(f"averaging over {over:g}: must be a finite time above 0")
+        t_max, dt = configuration.t_max, configuration.dt
+        if not 0.0 <= until < t_max + dt:  # the time that a damaged state states, for example
+            raise FlockError(f"averaging up to time {until:g}: must be 0 to t_max = {t_max:g}")
         self._configuration = configuration
         span = SHARE * until if over is None else over
-        every, dt = configuration.record_every, configuration.dt
+        every = configuration.record_every
         self.last = round(until / dt)
         """The last recorded step that is used."""
         records = max(1, round(span / (every * dt)))
