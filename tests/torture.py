@@ -173,14 +173,13 @@ def composed(
                 candidates[f"{module} process {k}"] = pid
         if found := executioner.victim(candidates, grew):
             who, pid = found
-            toll.kill("fly and all of its processes" if who == "fly" else f"a {who[:-2]}")
-            if who == "fly":
-                os.killpg(pid, signal.SIGKILL)
-                job.wait()
+            if who != "fly":
+                if kill(pid):
+                    toll.kill(f"a {who[:-2]}")
+            elif job.kill().status == -signal.SIGKILL:
+                toll.kill("fly and all of its processes")
                 begun = any((terminal.directory / bag).glob("*.mcap"))
                 job = terminal.start(*(("fly", "--resume", bag, *how) if begun else anew))
-            else:
-                kill(pid)
         time.sleep(0.01)  # between two looks at processes, which nothing announces
     assert job.wait().status == 0, job.stderr
     toll.standstill = max(toll.standstill, watch.longest)
@@ -224,8 +223,8 @@ def by_hand(
         candidates = {who: job.process.pid for who, job in jobs.items() if job.running}
         if found := executioner.victim(candidates, watch.grew()):
             who, pid = found
-            toll.kill("a bird" if who.startswith("bird") else f"the {who}")
-            kill(pid)
+            if kill(pid):
+                toll.kill("a bird" if who.startswith("bird") else f"the {who}")
             jobs[who].wait()
         for who, job in jobs.items():
             if job.running:
@@ -270,12 +269,13 @@ def judge(terminal: Terminal, bag: str, steps: int, toll: Toll) -> None:
     toll.states += done.json["messages"]
 
 
-def kill(pid: int) -> None:
-    """Kill a process the hard way, if it is still there."""
+def kill(pid: int) -> bool:
+    """Kill a process, and return whether it was still there."""
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
-        return
+        return False
+    return True
 
 
 def end(job: Job) -> None:

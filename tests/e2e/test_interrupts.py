@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import signal
 import time
-from contextlib import suppress
 from pathlib import Path
 from random import Random
 
@@ -29,8 +28,7 @@ def press(job: Job, random: Random) -> None:
     for _ in range(random.choice([1, 2, 3, 6])):
         # No moment is right or wrong, so nothing is waited for.
         time.sleep(random.choice([random.uniform(0.0, 0.5), random.uniform(0.0, 2.0)]))
-        with suppress(ProcessLookupError):
-            os.killpg(job.process.pid, signal.SIGINT)
+        job.interrupt()
 
 
 @pytest.mark.parametrize("seed", range(COUNT))

@@ -74,8 +74,7 @@ def test_a_flight_over_bad_links_with_kills_is_that_of_the_reference(
 @pytest.mark.slow
 def test_a_flight_over_bad_links_is_gone_on_with_where_it_was_cut_short(terminal: Terminal) -> None:
     job = in_flight(terminal, LONG, *FLOCK, *MIXED, "--processes", 2)
-    os.killpg(job.process.pid, signal.SIGKILL)
-    job.wait()
+    job.kill()
     done = terminal.run("fly", "--resume", "bag", "--json")
     assert done.status == 0, done.stderr
     assert_as_the_reference(terminal, LONG, *FLOCK, *MIXED)

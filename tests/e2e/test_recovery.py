@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from flock_sim.recording.run import Run
 from support.bags import assert_stopped_as_the_reference, last_step
 from support.terminal import Job, Terminal
 from support.visitor import Visitor
+from torture import kill as kill_if_there
 from torture import torture
 
 BIRD = "flock_sim.nodes.bird_process"
@@ -76,8 +78,9 @@ def test_a_bird_that_dies_again_and_again_ends_the_flight(terminal: Terminal) ->
     while job.running:
         assert time.monotonic() < deadline, job.stderr
         for pid in job.workers(BIRD):
-            if Path(f"/proc/{pid}/cmdline").read_bytes() == words:
-                kill(pid)
+            with suppress(OSError):  # it may have ended meanwhile
+                if Path(f"/proc/{pid}/cmdline").read_bytes() == words:
+                    kill(pid)
         time.sleep(0.01)  # between two looks for a process, which nothing announces
     done = job.wait()
     assert done.status == 1
@@ -98,8 +101,7 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
         job.workers(BIRD)
     else:
         job.until(lambda: last_step(bag) >= (10 if moment == "flying" else STEPS - 2000))
-    os.killpg(job.process.pid, signal.SIGKILL)
-    job.wait()
+    job.kill()
     on_disk = last_step(bag)
     done = terminal.run("fly", "--resume", "bag", "--json")
     assert done.status == 0, done.stderr
@@ -154,3 +156,12 @@ def test_a_short_torture(terminal: Terminal) -> None:
     assert toll.killed == 8
     assert toll.flights == len(said) >= 2  # one by `fly`, one by hand, more where they are fast
     assert toll.rewinds >= 1
+
+
+def test_a_kill_that_comes_too_late_is_no_error_of_the_torture(terminal: Terminal) -> None:
+    job = terminal.start("reference", "--birds", 2, "--t-max", 10, "--output", "bag")
+    pid = job.process.pid
+    assert job.process.wait() == 0
+    assert job.kill().status == 0
+    job.interrupt()
+    assert not kill_if_there(pid)

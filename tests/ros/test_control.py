@@ -190,8 +190,7 @@ def test_pushes_before_and_after_a_kill_of_all_are_flown_by_all_members(
     assert first.success, first.message
     bag = terminal.directory / "bag"
     job.until(lambda: last_step(bag) > first.step)
-    os.killpg(job.process.pid, signal.SIGKILL)
-    job.wait()
+    job.kill()
     job = terminal.start("fly", "--resume", "bag", "--json")
     begun = last_step(bag)
     job.until(lambda: last_step(bag) > begun)

@@ -123,7 +123,16 @@ class Job:
     def interrupt(self) -> None:
         """Press Ctrl-C: the terminal sends SIGINT to every process of the group."""
         self._terminal.look()
-        os.killpg(self.process.pid, signal.SIGINT)
+        self._signal_all(signal.SIGINT)
+
+    def kill(self) -> Done:
+        """Kill all processes of the tool at once. The status is its own if it had ended before."""
+        self._signal_all(signal.SIGKILL)
+        return self.wait()
+
+    def _signal_all(self, number: signal.Signals) -> None:
+        with suppress(ProcessLookupError):  # the tool may end at any moment
+            os.killpg(self.process.pid, number)
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the tool alone."""
