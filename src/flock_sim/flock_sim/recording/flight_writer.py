@@ -246,9 +246,9 @@ class Recording:
         gap = rows.gap(found, self.bag.count(self._place[topics.CLOCK_TOPIC]))
         if gap is not None:
             found = rows.last_before(*gap)
-        if gap is not None or found.end < len(found.held):  # the latter: by another writer
+        if gap is not None or found.dropped:  # the latter: by another writer
             self.bag.cut_back(found.chunk, keep_aside=gap is not None)
-            self.bag.write_together(found.held[: found.end])
+            self.bag.write_together(found.kept)
             self.bag.flush()
         if found.states:
             self._saved, self._checkpoint = messages.State.step_of(found.states[0]), found.states

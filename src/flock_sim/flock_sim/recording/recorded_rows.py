@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 from flock_sim.bag.writing.partial_bag import Message, PartialBag
@@ -15,9 +16,10 @@ from flock_sim.messages import types as messages
 class Found(NamedTuple):
     """The last whole row of a resumed bag, and its place."""
 
-    chunk: int  # the number of the first chunk in `held`
-    held: list[Message]
-    end: int  # of the row, in `held`, with the grants and pushes that follow it
+    chunk: int  # the number of the chunk in which it begins
+    kept: list[Message]  # of this chunk on, up to the grants and pushes that follow the row
+    dropped: int  # messages after them
+    times_dropped: int  # those among them on /clock
     states: list[bytes]
     memories: list[bytes]
 
@@ -44,13 +46,28 @@ class RecordedRows:
         self._places = [*states, *remembered]
 
     def last_before(self, chunk: int, held: list[Message]) -> Found:
-        """Find the last row in the first `chunk` chunks and the messages `held` after them."""
-        end, states, memories = self._last_row(held)
-        while chunk and not states:
+        """Find the last row in the first `chunk` chunks and the messages `held` after them.
+
+        A row may begin in one chunk and end in a later one.
+        """
+        following: list[list[Message]] = []  # what may belong to a row of earlier chunks, reversed
+        count = times = 0
+        while True:
+            count += len(held)
+            times += self._times(held)
+            begins = next((k for k, one in enumerate(held) if one.topic == self._places[0]), None)
+            together = held
+            if begins is not None or not chunk:
+                together = [*held, *chain.from_iterable(reversed(following))]
+                following.clear()
+            end, states, memories = self._last_row(together)
+            if states or not chunk:
+                break
+            following.append(held[:begins])
             chunk -= 1
-            held = self._begun.messages(chunk) + held
-            end, states, memories = self._last_row(held)
-        return Found(chunk, held, end, states, memories)
+            held = self._begun.messages(chunk)
+        kept = together[:end]
+        return Found(chunk, kept, count - end, times - self._times(kept), states, memories)
 
     def gap(self, last: Found, times: int) -> tuple[int, list[Message]] | None:
         """Find a missing row before `last`: return the number of the chunk and its beginning.
@@ -59,7 +76,7 @@ class RecordedRows:
         last step, no row is missing, and the result is None.
         """
         every, clock = self._configuration.record_every, self._place[topics.CLOCK_TOPIC]
-        times -= sum(place == clock for place, _, _ in last.held[last.end :])
+        times -= last.times_dropped
         if times == (messages.State.step_of(last.states[0]) // every + 1 if last.states else 0):
             return None
         step = 0
@@ -71,6 +88,11 @@ class RecordedRows:
                         return number, held[:at]
                     step += every
         return None
+
+    def _times(self, held: Sequence[Message]) -> int:
+        """Return the number of messages on /clock in `held`."""
+        clock = self._place[topics.CLOCK_TOPIC]
+        return sum(message.topic == clock for message in held)
 
     def _last_row(self, held: Sequence[Message]) -> tuple[int, list[bytes], list[bytes]]:
         """Return the end of the last whole row in `held`, its states and its memories.
