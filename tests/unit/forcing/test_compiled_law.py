@@ -16,6 +16,7 @@ from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.scaling import BirdCoefficients, Scales
 from flock_sim.reference.integrator import Reference
 from support.own_laws import with_law
+from support.python_process import python
 
 
 def fly(flock: FlockConfiguration) -> Reference:
@@ -329,3 +330,36 @@ def test_a_law_is_given_the_present_values_of_scales(tmp_path: Path) -> None:
     flight = fly(FlockConfiguration.given({**flock.parameters(), "forcing": entries}))
     assert flight.speed[0, 0] == pytest.approx(float(fly(flock).speed[0, 0]), rel=1e-14)
     assert flight.speed[0, 0] < Scales.of(flock).cruise_speed
+
+
+TOGETHER = """
+import sys
+from pathlib import Path
+from flock_sim.configuration.flock_configuration import FlockConfiguration
+from flock_sim.physics.kernel_cache import KernelCache
+from flock_sim.reference.integrator import Reference
+
+elsewhere, paths = Path(sys.argv[1]), KernelCache._paths
+KernelCache._paths = lambda self, key: (
+    elsewhere / path.name if "._loop." in path.name else path
+    for path in paths(self, key)
+)
+for text in sys.argv[2:]:
+    given = {"birds": 1, "dt": 1.0, "t_max": 10.0, "forcing": [text]}
+    flight = Reference(FlockConfiguration.given(given))
+    flight.advance(10)
+    print(flight.speed[0, 0].hex())
+"""
+
+
+def test_a_law_from_disk_is_its_own_beside_one_that_was_compiled_before(tmp_path: Path) -> None:
+    """numba numbers functions in each process, and the code on disk has another one's numbers."""
+    (tmp_path / "laws.py").write_text("def own(bird): return 1e-3 * bird.mass", encoding="utf-8")
+    own, built_in = f"{tmp_path}/laws.py:own", "constant:force=1e-4"
+
+    def speeds(*forcing: str) -> list[str]:
+        return python(TOGETHER, tmp_path, *forcing).split()
+
+    kept = speeds(built_in)
+    assert list(tmp_path.glob("*.kernel")) != []
+    assert speeds(own, built_in) == [*speeds(own), *kept]

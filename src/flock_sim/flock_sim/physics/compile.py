@@ -4,6 +4,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any, TypeVar, cast
+from uuid import uuid4
 
 from flock_sim.physics.arrays import FloatArray
 from flock_sim.physics.compiler import numba
@@ -105,7 +106,8 @@ def _anew(
     )
     # numba numbers functions of equal names in each process, and code from disk has the number of
     # another process. Code with the name and the number of this copy would be run instead of it.
-    copy.__qualname__ = f"anew.{plain.__qualname__}"
+    # That code may contain copies, too, so the name of each copy is unique.
+    copy.__qualname__ = f"anew.{plain.__qualname__}.{uuid4().hex}"
     _let_kernels_call(plain_callees(copy), **options)
     compiled: Function = numba.njit(**RULES, **options)(copy)
     return compiled
