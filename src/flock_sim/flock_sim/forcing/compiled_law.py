@@ -76,7 +76,9 @@ def compiled_law(law: Law) -> CompiledLaw:
     if not states and {"state", "step_state"} & {*signature.given}:
         raise FlockError(f"it takes a state and returns no rates of it: must return {WITH_STATE}")
     ours = law.__module__.startswith(f"{PACKAGE.name}.")
-    loop: Any = _copy(_loop_with_state if states else _loop, _adapted(plain, signature, states))
+    adapted = _adapted(plain, signature, states)
+    members = anew(_with_state if states else _without_state, _law=adapted)
+    loop: Any = _copy(_loop, _members=members)
     loop.__qualname__ += f".{law.__module__}.{law.__qualname__}"
     compiled: Any = (kernel if ours else anew)(loop)
     compiled.compile(_LOOP.args)
@@ -97,15 +99,20 @@ def _adapted(law: Law, signature: Signature, states: int) -> Law:
     rates = "".join(f"float(result[1][{k}]), " for k in range(states))
     names = {"law": law, "float": float, "__name__": __name__}
     floats = f"lambda result: (float(result[0]), ({rates}))" if states else "lambda result: result"
-    names["floats"] = anew(eval(floats, names))
+    names["floats"] = _inline(eval(floats, names))
     text = f"lambda {', '.join(GIVEN)}, parameters, m: floats(law({', '.join(arguments)}))"
-    adapted: Law = eval(text, names)
-    return anew(adapted)
+    adapted: Law = _inline(eval(text, names))
+    return adapted
 
 
-def _copy(loop: Any, law: Law) -> Any:
-    """Return a loop that calls `law`."""
-    return FunctionType(loop.__code__, {**globals(), "_law": law}, loop.__name__)
+def _inline(function: Any) -> Any:
+    """Have numba copy a function into its callers, which compiles faster than a call."""
+    return numba.njit(inline="always")(function)
+
+
+def _copy(function: Any, **callees: Any) -> Any:
+    """Return a function that calls `callees` by their names."""
+    return FunctionType(function.__code__, {**globals(), **callees}, function.__name__)
 
 
 def _result_of(law: Any, signature: Signature) -> Any:
@@ -202,72 +209,90 @@ def _law(*arguments: Any) -> Any:
     raise NotImplementedError
 
 
+def _members(address: int, term: int, tick: int, dt: float) -> None:
+    """Stand for one of the two functions below, compiled with a law."""
+
+
 def _loop(address: int, term: int, tick: int, dt: float) -> int:
+    """Call a law for each member. A longer body of the `try` takes much longer to compile."""
+    try:
+        _members(address, term, tick, dt)
+    except Exception:
+        _note_exception(address, term)
+    return 0
+
+
+def _without_state(address: int, term: int, tick: int, dt: float) -> None:
     """Add the force of a law without state to that on the bird, in each member."""
-    words = numbers(address, frame.FIRST_TERM + (term + 1) * frame.EACH)
-    at = frame.FIRST_TERM + term * frame.EACH
-    members, count = words[frame.MEMBERS], words[frame.NEIGHBOURS]
-    parameters = matrix(words[at + frame.PARAMETERS], 1 << 32, members)
-    own = matrix(words[frame.OWN], frame.OWN_ROWS, members)
-    now = matrix(words[frame.NOW], 3, members)
-    near = matrix(words[frame.NEAR], 3 * members, count)
-    lateral = matrix(words[frame.LATERAL], members, count)
-    number = numbers(words[frame.NUMBER], count)
-    noise = matrix(words[frame.NOISE] + 16 * members * words[at + frame.ORDINAL], 2, members)
-    force = vector(words[frame.FORCE], members)
+    words, own, now, number, lateral, near, noise, force, parameters = _arrays(address, term)
     time = (tick // STAGES + NODES[tick % STAGES]) * dt
-    try:
-        for m in range(members):
-            bird = _bird(words, own, now, m)
-            neighbours = _neighbours(number, lateral, near, members, m)
-            none = noise[:0, m]
-            added = float(_law(bird, neighbours, time, none, none, noise[:, m], parameters, m))
-            if not np.isfinite(added):
-                _note_fault(words, term, own, now, near, none, m)
-            force[m] = canonical(force[m] + added)
-    except Exception:
-        words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
-    return 0
+    for m in range(force.size):
+        bird = _bird(words, own, now, m)
+        neighbours = _neighbours(number, lateral, near, force.size, m)
+        none = noise[:0, m]
+        added = float(_law(bird, neighbours, time, none, none, noise[:, m], parameters, m))
+        if not np.isfinite(added):
+            _note_fault(words, term, own, now, near, none, m)
+        force[m] = canonical(force[m] + added)
 
 
-def _loop_with_state(address: int, term: int, tick: int, dt: float) -> int:
+def _with_state(address: int, term: int, tick: int, dt: float) -> None:
     """Do the same with a law that has a state, and fill in the rates of its state."""
+    words, own, now, number, lateral, near, noise, force, parameters = _arrays(address, term)
+    state, start, rate = _states(address, term, tick)
+    time = (tick // STAGES + NODES[tick % STAGES]) * dt
+    for m in range(force.size):
+        bird = _bird(words, own, now, m)
+        neighbours = _neighbours(number, lateral, near, force.size, m)
+        mine = state[:, m]
+        added, rates = _law(bird, neighbours, time, mine, start[:, m], noise[:, m], parameters, m)
+        sound = np.isfinite(added)
+        for k in range(len(rates)):
+            rate[k, m] = canonical(rates[k])
+            sound = sound and np.isfinite(rates[k])
+        if not sound:
+            _note_fault(words, term, own, now, near, mine, m)
+        force[m] = canonical(force[m] + added)
+
+
+@kernel
+def _arrays(address: int, term: int) -> tuple[Any, ...]:
+    """Return the words and the arrays of a law."""
     words = numbers(address, frame.FIRST_TERM + (term + 1) * frame.EACH)
     at = frame.FIRST_TERM + term * frame.EACH
     members, count = words[frame.MEMBERS], words[frame.NEIGHBOURS]
-    parameters = matrix(words[at + frame.PARAMETERS], 1 << 32, members)
-    own = matrix(words[frame.OWN], frame.OWN_ROWS, members)
-    now = matrix(words[frame.NOW], 3, members)
-    near = matrix(words[frame.NEAR], 3 * members, count)
-    lateral = matrix(words[frame.LATERAL], members, count)
-    number = numbers(words[frame.NUMBER], count)
-    noise = matrix(words[frame.NOISE] + 16 * members * words[at + frame.ORDINAL], 2, members)
-    force = vector(words[frame.FORCE], members)
-    time = (tick // STAGES + NODES[tick % STAGES]) * dt
-    first, rows = words[at + frame.FIRST_STATE], words[frame.STATES]
+    return (
+        words,
+        matrix(words[frame.OWN], frame.OWN_ROWS, members),
+        matrix(words[frame.NOW], 3, members),
+        numbers(words[frame.NUMBER], count),
+        matrix(words[frame.LATERAL], members, count),
+        matrix(words[frame.NEAR], 3 * members, count),
+        matrix(words[frame.NOISE] + 16 * members * words[at + frame.ORDINAL], 2, members),
+        vector(words[frame.FORCE], members),
+        matrix(words[at + frame.PARAMETERS], 1 << 32, members),
+    )
+
+
+@kernel
+def _states(address: int, term: int, tick: int) -> tuple[Any, ...]:
+    """Return the numbers of state of a law, those at the beginning of the step, and the rates."""
+    words = numbers(address, frame.FIRST_TERM + (term + 1) * frame.EACH)
+    at = frame.FIRST_TERM + term * frame.EACH
+    members, rows = words[frame.MEMBERS], words[frame.STATES]
+    first = words[at + frame.FIRST_STATE]
     last = first + words[at + frame.STATES_OF_LAW]
-    state = matrix(words[frame.STATE] + 8 * (tick & 1) * rows * members, rows, members)
-    start = matrix(words[frame.START], rows, members)
-    rate = matrix(words[frame.RATE], rows, members)
-    try:
-        for m in range(members):
-            bird = _bird(words, own, now, m)
-            neighbours = _neighbours(number, lateral, near, members, m)
-            mine = state[first:last, m]
-            result = _law(
-                bird, neighbours, time, mine, start[first:last, m], noise[:, m], parameters, m
-            )
-            added, rates = result
-            sound = np.isfinite(added)
-            for k in range(len(rates)):
-                rate[first + k, m] = canonical(rates[k])
-                sound = sound and np.isfinite(rates[k])
-            if not sound:
-                _note_fault(words, term, own, now, near, mine, m)
-            force[m] = canonical(force[m] + added)
-    except Exception:
-        words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
-    return 0
+    return (
+        matrix(words[frame.STATE] + 8 * (tick & 1) * rows * members, rows, members)[first:last],
+        matrix(words[frame.START], rows, members)[first:last],
+        matrix(words[frame.RATE], rows, members)[first:last],
+    )
+
+
+@kernel
+def _note_exception(address: int, term: int) -> None:
+    words = numbers(address, frame.FIRST_TERM)
+    words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
 
 
 @kernel
