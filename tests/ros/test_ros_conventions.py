@@ -153,12 +153,13 @@ def test_nodes_log_their_flight_to_rosout(terminal: Terminal, visitor: Visitor) 
     job = fly(terminal, "--birds", 2, "--t-max", "1e7", "--record-every", 1000, "--output", "bag")
     visitor.until(lambda: any("the flock flies" in log.msg for log in heard))
     visitor.until(lambda: any("is in flight" in log.msg for log in heard))
+    names = {"flock.clock", "flock.bird_01", "flock.recorder"}
+    visitor.until(lambda: names <= {log.name for log in heard})
     assert visitor.ask(Trigger, "/flock/clock/stop").success
     visitor.until(lambda: any("the flight is over at step" in log.msg for log in heard))
     done = job.wait()
     assert done.status == 0
     assert "[INFO]" not in done.stderr + done.stdout
-    assert {log.name for log in heard} >= {"flock.clock", "flock.bird_01", "flock.recorder"}
     assert all(log.level == LoggingSeverity.INFO for log in heard if "flies" in log.msg)
 
 
