@@ -49,7 +49,7 @@ def assert_as_the_reference(terminal: Terminal, steps: int, *flock: object) -> N
 @pytest.mark.parametrize(
     "flock",
     [
-        pytest.param((*FLOCK, *MIXED), id="sparse"),
+        pytest.param((*FLOCK, *MIXED), id="sparse", marks=pytest.mark.slow),
         pytest.param((*FLOCK, *EXACT_TOO), id="every stage"),
         pytest.param((*MANY, *LATE_LOSSY_NOISY), id="64 members", marks=pytest.mark.slow),
     ],

@@ -49,7 +49,14 @@ def assert_as_undisturbed(terminal: Terminal) -> None:
         assert run.missing is None
 
 
-@pytest.mark.parametrize("who", ["a bird", "the recorder", "birds and recorder at once"])
+@pytest.mark.parametrize(
+    "who",
+    [
+        "a bird",
+        pytest.param("the recorder", marks=pytest.mark.slow),
+        pytest.param("birds and recorder at once", marks=pytest.mark.slow),
+    ],
+)
 def test_who_is_killed_is_started_again_and_no_bit_changes(
     terminal: Terminal, visitor: Visitor, who: str
 ) -> None:
@@ -70,6 +77,7 @@ def test_who_is_killed_is_started_again_and_no_bit_changes(
     assert_stopped_as_the_reference(terminal, 3, 10, *ENDLESS)
 
 
+@pytest.mark.slow
 def test_a_bird_that_dies_again_and_again_ends_the_flight(terminal: Terminal) -> None:
     job = in_flight(terminal, "--processes", 3, flock=ENDLESS)
     (poor, *_) = job.workers(BIRD)
@@ -110,6 +118,7 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
     assert_as_undisturbed(terminal)
 
 
+@pytest.mark.slow
 def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(terminal: Terminal) -> None:
     job = in_flight(terminal)
     job.interrupt()

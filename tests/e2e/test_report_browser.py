@@ -141,6 +141,7 @@ def positions(page: Page) -> list[str]:
     return [text.strip() for text in cells.all_text_contents()]
 
 
+@pytest.mark.slow
 def test_the_slider_moves_the_birds_and_the_cursor_of_the_curves(opened: Opener) -> None:
     page = opened("one")
     before, drawn = positions(page), picture(page, "formation")

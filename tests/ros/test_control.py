@@ -182,6 +182,7 @@ def test_a_push_asked_for_in_flight_is_recorded_and_can_be_repeated(
     assert terminal.run("compare", "bag", "unpushed").status == 1
 
 
+@pytest.mark.slow
 def test_pushes_before_and_after_a_kill_of_all_are_flown_by_all_members(
     terminal: Terminal, visitor: Visitor
 ) -> None:

@@ -86,6 +86,7 @@ def test_two_flocks_by_hand_with_run_ids_do_not_touch_each_other(terminal: Termi
         assert_equal(terminal, f"run-{run_id}", f"reference-{run_id}", 2 * 101)
 
 
+@pytest.mark.slow
 def test_forged_messages_of_all_kinds_change_no_bit(terminal: Terminal, visitor: Visitor) -> None:
     flock = ("--birds", 3, "--t-max", 1e8, "--record-every", EVERY, "--span-ratio", "2=0.97")
     heard = {topic: visitor.hear(kind, topic, raw=True, depth=1) for topic, kind in KINDS.items()}

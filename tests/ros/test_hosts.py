@@ -131,6 +131,7 @@ def discovery_server(terminal: Terminal, host: Host) -> Iterator[None]:
             server.terminate()
 
 
+@pytest.mark.slow
 def test_a_network_that_loses_delays_and_reorders_changes_no_bit(
     travellers: Terminal, join: Join
 ) -> None:
@@ -141,6 +142,7 @@ def test_a_network_that_loses_delays_and_reorders_changes_no_bit(
     assert traffic.shortest >= ROUGH.delay[0]
 
 
+@pytest.mark.slow
 def test_hosts_that_are_named_find_each_other_without_multicast_however_busy_they_are(
     travellers: Terminal, join: Join
 ) -> None:

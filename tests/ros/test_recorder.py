@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pytest
 from std_srvs.srv import Trigger
 
 from flock_interfaces.msg import Progress
@@ -17,6 +18,7 @@ from support.terminal import Terminal
 from support.visitor import Visitor
 
 
+@pytest.mark.slow
 def test_every_step_that_the_recorder_calls_safe_can_be_read_at_that_moment(
     terminal: Terminal, visitor: Visitor
 ) -> None:

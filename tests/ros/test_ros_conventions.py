@@ -40,6 +40,7 @@ def fly(terminal: Terminal, *options: object) -> Job:
     return terminal.start("fly", *options)
 
 
+@pytest.mark.slow
 def test_two_flocks_fly_in_two_namespaces_of_one_domain(
     terminal: Terminal, visitor: Visitor
 ) -> None:
@@ -71,6 +72,7 @@ def test_a_namespace_moves_services_too(terminal: Terminal, visitor: Visitor, se
     assert job.wait().status == 0
 
 
+@pytest.mark.slow
 def test_watch_and_a_remapped_topic_in_a_namespace(terminal: Terminal, visitor: Visitor) -> None:
     ros = ("--ros-args", "-r", "__ns:=/left")
     heard = visitor.hear(BirdState, "/left/elsewhere")

@@ -58,6 +58,7 @@ def test_a_tool_that_others_could_reach_is_refused(
     assert not (terminal.directory / "bag").exists()
 
 
+@pytest.mark.slow
 def test_all_processes_of_a_flight_are_on_loopback_alone(terminal: Terminal) -> None:
     flock = ("--birds", BIRDS, "--record-every", 10)
     job = terminal.start(

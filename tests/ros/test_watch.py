@@ -10,6 +10,8 @@ import select
 import struct
 import termios
 
+import pytest
+
 from flock_sim.recording.run import Run
 from flock_sim.ros.process import executing
 from flock_tools.live.flock_monitor import Sample
@@ -81,6 +83,7 @@ def test_one_flock_after_the_other_is_shown_as_what_it_is(
             assert player.wait().status == 130
 
 
+@pytest.mark.slow
 def test_keys_show_another_member_and_end_the_table(terminal: Terminal) -> None:
     flight = terminal.start("fly", *FLOCK[:2], *FLOCK[4:], "--t-max", 1e7, "--output", "flown")
     keys, screen = pty.openpty()
