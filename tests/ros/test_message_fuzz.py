@@ -337,10 +337,11 @@ def fly_among_anything(
                     flight.idle()
             if flight.over or flight.clock.keeper.lost or fuzz.total > COUNT:
                 break
-        for _ in range(MOST_ROUNDS):  # a refusal leaves what comes after it
-            with refusals():
+        for _ in range(MOST_ROUNDS):
+            with refusals():  # a refusal leaves what comes after it
                 flight.act()
-                break
+                if not unread(node):  # a bird in flight looks at one wing at a time
+                    break
         assert_bounded(node, flight.wires.warned)
         for each in flight.birds:
             assert_reportable(status([each]))
