@@ -3,7 +3,7 @@
 
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -56,26 +56,33 @@ class Part(NamedTuple):
     read: Callable[[], Iterator[Recorded]]
 
 
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise FlockError, which names the file, for an OSError in the block."""
+    try:
+        yield
+    except OSError as error:
+        raise FlockError(f"{path} can't be read: {error.strerror}") from error
+
+
 class McapFile:
     """The attributes and methods of `BagReader`, for one of its files."""
 
     def __init__(self, path: Path) -> None:
         """Open the file and find its contents; raises FlockError if it is not MCAP."""
         self.path = path
-        try:
-            # It is read by os.pread. A Python file object closes it after its last use.
-            file = open_file(path)
-            magic = os.pread(file.fileno(), len(MAGIC), 0)
-        except FileNotFoundError as error:
-            raise FlockError(f"there is no bag {path}: name a bag directory") from error
-        except OSError as error:
-            raise FlockError(f"{path} can't be read: {error.strerror}") from error
-        self._file: IO[bytes] = file
         packed = None
-        if magic.startswith(ZSTD_MAGIC):
-            with file:
-                self._file, packed = unpacked_file(file, path)
+        with _readable(path):
+            try:
+                # It is read by os.pread. A Python file object closes it after its last use.
+                self._file: IO[bytes] = open_file(path)
+            except FileNotFoundError as error:
+                raise FlockError(f"there is no bag {path}: name a bag directory") from error
             magic = os.pread(self._file.fileno(), len(MAGIC), 0)
+            if magic.startswith(ZSTD_MAGIC):
+                with self._file as file:
+                    self._file, packed = unpacked_file(file, path)
+                magic = os.pread(self._file.fileno(), len(MAGIC), 0)
         if magic != MAGIC:
             self.close()
             if other := format_of_content(magic):
@@ -83,13 +90,14 @@ class McapFile:
             what = "is not an MCAP file" if magic else "is an empty file"
             raise FlockError(f"{path} {what}: name a bag that was recorded by fly or reference")
         try:
-            contents = _take_stock(self._file.fileno())
-        except OSError as error:
-            self.close()
-            raise FlockError(f"{path} can't be read: {error.strerror}") from error
+            with _readable(path):
+                contents = _take_stock(self._file.fileno())
         except limits.LimitError as error:
             self.close()
             raise FlockError(f"{path} {error}: take another copy of the bag") from error
+        except FlockError:
+            self.close()
+            raise
         self._chunks = contents.chunks
         self._loose = contents.loose
         self._end = contents.whole
@@ -138,7 +146,8 @@ class McapFile:
     ) -> Iterator[Part]:
         since = 0 if start is None else start
         until = _FOREVER if end is None else end
-        unpacked = limits.Unpacked(self._file.fileno())
+        with _readable(self.path):
+            unpacked = limits.Unpacked(self._file.fileno())
         for opcode, place in self._places():
             if place.end_time < since or place.start_time >= until:
                 continue
@@ -158,7 +167,9 @@ class McapFile:
         unpacked: limits.Unpacked,
     ) -> Iterator[Recorded]:
         try:
-            yield from messages_in(self._body(opcode, place, unpacked), wanted, since, until)
+            with _readable(self.path):
+                body = self._body(opcode, place, unpacked)
+            yield from messages_in(body, wanted, since, until)
         except limits.LimitError as error:
             raise FlockError(
                 f"{self.path} {error}: take another copy of the bag, or write it without"
@@ -170,8 +181,6 @@ class McapFile:
                 " take another copy of the bag, or recover the undamaged part of a flight with"
                 " ./flock repair"
             ) from error
-        except OSError as error:
-            raise FlockError(f"{self.path} can't be read: {error.strerror}") from error
 
     def salvage(self, broken: list[str], cut: list[str] | None = None) -> Iterator[Recorded]:
         """Yield the messages of all sound chunks; add a line to `broken` for each damaged place.
@@ -180,9 +189,10 @@ class McapFile:
         and add a line on it to `cut`.
         """
         try:
-            yield from self._salvaged_loose(broken) if self._loose else self._salvaged(broken, cut)
-        except OSError as error:
-            raise FlockError(f"{self.path} can't be read: {error.strerror}") from error
+            with _readable(self.path):
+                yield from (
+                    self._salvaged_loose(broken) if self._loose else self._salvaged(broken, cut)
+                )
         except limits.LimitError as error:
             raise FlockError(f"{self.path} {error}: take another copy of the bag") from error
 
@@ -229,10 +239,11 @@ class McapFile:
         """Read the whole file, and tell whether the CRC at the end of its data, if any, fits."""
         fd = self._file.fileno()
         end = self._end - FRAME.size - CRC_SIZE
-        if self.missing or read_frame(fd, end) != (Opcode.DATA_END, CRC_SIZE):
-            return True
-        crc = int.from_bytes(read_content(fd, end, CRC_SIZE), "little")
-        return crc in (0, crc_of(fd, end))
+        with _readable(self.path):
+            if self.missing or read_frame(fd, end) != (Opcode.DATA_END, CRC_SIZE):
+                return True
+            crc = int.from_bytes(read_content(fd, end, CRC_SIZE), "little")
+            return crc in (0, crc_of(fd, end))
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -253,13 +264,14 @@ class McapFile:
             return
         chunks = {place.offset: place for place in self._chunks}
         offset = len(MAGIC)
-        while offset < self._end and (frame := read_frame(self._file.fileno(), offset)):
-            opcode, length = frame
-            if opcode == Opcode.CHUNK and offset in chunks:
-                yield opcode, chunks[offset]
-            elif opcode == Opcode.MESSAGE:
-                yield opcode, self._message_place(offset, length)
-            offset += FRAME.size + length
+        with _readable(self.path):
+            while offset < self._end and (frame := read_frame(self._file.fileno(), offset)):
+                opcode, length = frame
+                if opcode == Opcode.CHUNK and offset in chunks:
+                    yield opcode, chunks[offset]
+                elif opcode == Opcode.MESSAGE:
+                    yield opcode, self._message_place(offset, length)
+                offset += FRAME.size + length
 
     def _message_place(self, offset: int, length: int) -> ChunkPlace:
         start, end, channels = 0, _FOREVER, frozenset[int]()
