@@ -354,6 +354,27 @@ def test_the_clock_ticks_in_pauses_too_and_never_before_a_message_that_is_due() 
     assert len(ticks) == 4
 
 
+def test_the_clock_stops_at_the_end_of_the_bag() -> None:
+    clock = FakeClock()
+    messages = [("/topic", ORIGIN + k * SECOND, b"") for k in range(3)]
+    ticks: list[int] = []
+
+    def publish(topic: str, data: bytes) -> None:
+        clock.time += 5.0  # slowly
+
+    play = Playback(
+        lambda _: iter(messages),
+        publish,
+        Schedule(ORIGIN, 1.0, now=clock),
+        (ORIGIN, ORIGIN + 2 * SECOND),
+        tick=ticks.append,
+        tick_every=0.0,
+    )
+    play.run()
+    assert ticks == sorted(ticks)
+    assert ticks[-1] == ORIGIN + 2 * SECOND
+
+
 def test_each_start_is_delayed() -> None:
     stage = Stage(loop=True)
     jumps: list[float] = []

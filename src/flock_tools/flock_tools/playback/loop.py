@@ -201,7 +201,7 @@ class Playback:
     def _advance(self) -> None:
         """Read the next message."""
         self._upcoming: Recorded | None = next(self._source, None)
-        self.schedule.upcoming = self._upcoming[1] if self._upcoming else None
+        self.schedule.upcoming = self._upcoming[1] if self._upcoming else self._span[1]
 
     def _say_first(self) -> None:
         """Publish the latched messages from before the start or seek time."""

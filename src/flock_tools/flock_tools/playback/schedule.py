@@ -32,7 +32,7 @@ class Schedule:
         self._paused = paused
         self._anchor = (now(), origin)
         self.upcoming: int | None = None
-        """Recorded time of the next message, in ns; None: no message follows."""
+        """Recorded time of the next message, or of the end of the bag, in ns; None: unlimited."""
 
     @property
     def paused(self) -> bool:
