@@ -22,7 +22,6 @@ LAWS = Path(__file__).parents[1] / "support/laws.py"
 BIRD = "flock_sim.nodes.bird_process"
 
 STEPS = 12_000
-SHORT = 3_000
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10)
 FORCING = (
     *("--forcing", "gust:std=1e-5,time=30,seed=4/5"),
@@ -76,10 +75,11 @@ def test_a_flight_is_killed_and_resumed_with_the_law_that_it_was_begun_with(
         assert len({part.digest for part in run.own_parts}) == 1
 
 
+@pytest.mark.slow
 def test_every_tool_that_reads_the_bag_does_without_the_file(
     terminal: Terminal, laws: Path
 ) -> None:
-    terminal.well("fly", *FLOCK, *FORCING, "--t-max", SHORT, "--output", "bag")
+    terminal.well("fly", *FLOCK, *FORCING, "--output", "bag")
     laws.unlink()
     torn = Path(shutil.copytree(terminal.directory / "bag", terminal.directory / "torn"))
     cut(Random(1), torn)
@@ -99,5 +99,5 @@ def test_every_tool_that_reads_the_bag_does_without_the_file(
         assert np.array_equal(run.at().forcing_state, before.at().forcing_state)
     flown = load(terminal.directory / "bag")
     assert flown.forcing_state.dims == ("time", "bird", "state_number", "member")
-    assert flown.forcing_state.shape == (SHORT // 10 + 1, 3, 3, 2)
+    assert flown.forcing_state.shape == (STEPS // 10 + 1, 3, 3, 2)
     assert flown.attrs["own_parts"] == "law laws.py:cruise, law laws.py:lean"
