@@ -125,6 +125,24 @@ def test_a_waiting_clock_tells_what_it_was_given(terminal: Terminal, asker: Node
     assert job.wait().status == 130
 
 
+@pytest.mark.parametrize(
+    ("rules", "names"),
+    [([], ["_clock_parameters", "clock"]), (["-r", "__node:=time"], ["time"])],
+    ids=["as usual", "renamed"],
+)
+def test_the_node_that_reads_the_parameters_is_hidden_or_gone(
+    terminal: Terminal, asker: Node, rules: list[str], names: list[str]
+) -> None:
+    """ROS hides names that begin with an underscore. No two nodes may have the same name."""
+    job = terminal.start("clock", "--ros-args", "-p", "birds:=5", *rules)
+    deadline = time.monotonic() + DEADLINE
+    while (known := sorted(asker.get_node_names())) != sorted(["asker", *names]):
+        assert time.monotonic() < deadline, known
+        time.sleep(0.05)
+    job.interrupt()
+    assert job.wait().status == 130
+
+
 def test_a_bird_in_flight_tells_and_can_t_be_changed(terminal: Terminal, asker: Node) -> None:
     flock = ["--ros-args", "-p", "birds:=2", "-p", "t_max:=1e7", "-p", "record:=false"]
     jobs = [

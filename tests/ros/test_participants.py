@@ -147,4 +147,4 @@ def test_a_process_keeps_the_participant_with_which_it_read_its_parameters(
     at_first, in_the_end = used
     assert at_first
     assert at_first <= in_the_end
-    assert names == [["bird"]]
+    assert names == [["_bird_parameters", "bird"]]

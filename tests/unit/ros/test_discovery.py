@@ -149,13 +149,15 @@ def test_no_queue_can_be_full(network):
 
 
 @pytest.mark.parametrize("network", [False, True])
-def test_who_starts_says_so_often_at_first(network):
-    place = "dds:rtps/dds:builtin/dds:discovery_config/dds:initialAnnouncements"
-    announcements = settings("participant", network).find(place, DDS)
-    period = float(announcements.findtext("dds:period/dds:nanosec", None, DDS)) / 1e9
-    count = int(announcements.findtext("dds:count", None, DDS))
-    assert period < 0.5  # Fast DDS would take 3 s after half a second
-    assert count * period > 3.0
+def test_a_process_announces_itself_often_at_first_and_then_every_second(network):
+    config = settings("participant", network).find("dds:rtps/dds:builtin/dds:discovery_config", DDS)
+    at_first = config.find("dds:initialAnnouncements", DDS)
+    period = float(at_first.findtext("dds:period/dds:nanosec", None, DDS)) / 1e9
+    count = int(at_first.findtext("dds:count", None, DDS))
+    later = float(config.findtext("dds:leaseAnnouncement/dds:sec", None, DDS))
+    assert period <= 0.1
+    assert count * period > later
+    assert later <= 1.0  # by default 3 s, for which a flock waits when a bird has started again
 
 
 @pytest.mark.parametrize("network", [False, True])

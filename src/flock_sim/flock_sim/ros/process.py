@@ -28,7 +28,7 @@ from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.ros.fastdds_shutdown import leave
 from flock_sim.ros.fetch import ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD, let_fetch
 from flock_sim.ros.log import initialised, warn
-from flock_sim.ros.parameters.given import parameter_reader, what_is_given
+from flock_sim.ros.parameters.given import is_renamed, parameter_reader, what_is_given
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
 
@@ -43,10 +43,12 @@ class Process:
     stop: Stop
     supervised: bool
     settle: Callable[[], None]
-    """Call this once the nodes exist: it destroys the node that read the parameters.
+    """Call this once the nodes exist: no second node has the name of one of them from then on.
 
-    If that node were destroyed before, the DDS participant of the process would be destroyed too,
-    and made again.
+    The node that read the parameters is destroyed here if it was renamed to that name, and with the
+    process if not. Were it destroyed before the nodes exist, the DDS participant of the process
+    would be destroyed too, and made again. If it is destroyed while other processes discover its
+    endpoints, these may wait for the next heartbeat of the discovery, which is 1 s away.
     """
 
     def watchdog(self, node: Node) -> Watchdog:
@@ -139,7 +141,7 @@ def run_node(
                     configuration, operation = what_is_given(name, reader, arguments)
                     if timeout is not None:
                         operation["timeout"] = timeout
-                    settle = reader.destroy_node
+                    settle = reader.destroy_node if is_renamed(reader, name) else _nothing
                     work(Process(configuration, operation, context, stop, supervised, settle))
             finally:
                 rclpy.try_shutdown(context=context)
@@ -149,6 +151,10 @@ def run_node(
         return run_tool(tool, arguments)
 
     return main
+
+
+def _nothing() -> None:
+    pass
 
 
 def _parameters(name: str) -> str:

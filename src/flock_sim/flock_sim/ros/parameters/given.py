@@ -25,7 +25,12 @@ from flock_sim.ros.parameters.node_parameters import check_same, resolved, toget
 
 
 def _reader_name(name: str) -> str:
-    return f"{name}_parameters"
+    return f"_{name}_parameters"  # ROS hides names that begin with an underscore
+
+
+def is_renamed(reader: Node, name: str) -> bool:
+    """Whether a remapping rule gave `reader`, of the node `name`, the name of that node."""
+    return bool(reader.get_name() != _reader_name(name))
 
 
 @contextmanager
@@ -65,7 +70,7 @@ def what_is_given(
         return FlockConfiguration.given(flown), {**DEFAULTS, **operation}
     birds = _birds(name, operation, sections)
     nodes = [topics.bird_name(bird) for bird in birds] or [name]
-    if reader.get_name() != _reader_name(name):
+    if is_renamed(reader, name):
         nodes = [reader.get_name()]  # a remapping rule of ROS renames the node too
     full = [f"{reader.get_namespace().rstrip('/')}/{node}" for node in nodes]
     found = [resolved(sections, node, common, given) for node in full]
