@@ -29,9 +29,9 @@ from flock_sim.reference.integrator import Reference
 from flock_sim.ros.process import new_incarnation
 from flock_sim.ros.settings_check import shared_memory
 from flock_tools.runs.dataset import load
-from flock_tools.testing import fly
+from flock_tools.testing import fly, ros_alone
 from support.own_laws import with_law
-from support.terminal import ports
+from support.terminal import own_domain, ports
 
 
 @pytest.fixture(autouse=True)
@@ -262,3 +262,8 @@ def test_what_a_bird_fails_with_is_raised_and_the_next_flight_flies(temporary, t
     assert dict(os.environ) == environment
     assert threading.active_count() == threads
     assert list(temporary.iterdir()) == []
+
+
+def test_a_flight_is_on_another_domain_than_a_test_that_has_not_begun_to_talk():
+    with own_domain() as domain, ros_alone() as context:
+        assert context.get_domain_id() != domain

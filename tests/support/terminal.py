@@ -300,8 +300,9 @@ def own_domain() -> Iterator[int]:
     """Give a ROS_DOMAIN_ID that no other test has, in this run of pytest or another.
 
     It is claimed by a name in the abstract socket namespace, which the kernel always releases.
+    Flock takes the first free domain, and does not know these claims: so tests take the last one.
     """
-    for domain in quiet_domains():
+    for domain in reversed(quiet_domains()):
         claim = socket.socket(socket.AF_UNIX)
         try:
             claim.bind(f"\0flock-test-domain-{domain}")
