@@ -108,13 +108,13 @@ class View:
 
     def hear_state(self, bird: int, data: bytes, age: float = 0.0) -> None:
         """Take a state of `bird` that was sent `age` s ago. Ignore invalid states."""
+        now = self._now()  # first, since `age` counts up to now
         try:
             state = State.decode(data)
         except ValueError:
             return
         if _members(state) is None:
             return
-        now = self._now()
         self._received(state.run_id).add_state(bird, state, now, now - age)
         if self._run is None:
             self._run = state.run_id
