@@ -148,6 +148,23 @@ def test_states_of_the_past_are_no_progress_of_now(sampled: bool) -> None:
     assert observer.view.behind == pytest.approx(0.1, abs=0.001)
 
 
+def test_the_time_that_decoding_takes_makes_no_state_younger(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    observer, decode = Observer(), State.decode
+
+    def slow(data: bytes) -> State:
+        observer.time += 1.0
+        return decode(data)
+
+    monkeypatch.setattr(State, "decode", slow)
+    for bird in (1, 2, 3):
+        observer.view.hear_state(bird, state(bird, 0), 0.5)
+    shown = observer.view.sample({1, 2, 3}, 1)
+    assert shown is not None
+    assert shown.age == [3.5, 2.5, 1.5]
+
+
 def test_a_clock_that_is_fast_makes_no_message_younger_than_nothing() -> None:
     observer = Observer()
     for bird in (1, 2, 3):
