@@ -141,7 +141,7 @@ def run_node(
                     configuration, operation = what_is_given(name, reader, arguments)
                     if timeout is not None:
                         operation["timeout"] = timeout
-                    settle = reader.destroy_node if is_renamed(reader, name) else _nothing
+                    settle = reader.destroy_node if is_renamed(reader, name) else lambda: None
                     work(Process(configuration, operation, context, stop, supervised, settle))
             finally:
                 rclpy.try_shutdown(context=context)
@@ -151,10 +151,6 @@ def run_node(
         return run_tool(tool, arguments)
 
     return main
-
-
-def _nothing() -> None:
-    pass
 
 
 def _parameters(name: str) -> str:
