@@ -248,17 +248,23 @@ class Terminal:
         return done
 
     def processes(self) -> list[int]:
-        """Return the live processes among those started here and their children."""
+        """Return the live processes among those started here and their children.
+
+        A session of which no process is left is forgotten: the kernel may give its number to a
+        process of another test. The first process of a session may not have begun it yet.
+        """
         mark = f"{MARK}={self._mark}".encode()
-        found = []
+        found, known, remaining = [], set(self._sessions), set()
         for entry in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                if not lives(int(entry.name)):
-                    continue
-                if os.getsid(int(entry.name)) in self._sessions or (
-                    mark in (entry / "environ").read_bytes().split(b"\0")
+                session = os.getsid(int(entry.name))
+                remaining |= {session, int(entry.name)}
+                if lives(int(entry.name)) and (
+                    session in self._sessions
+                    or mark in (entry / "environ").read_bytes().split(b"\0")
                 ):
                     found.append(int(entry.name))
+        self._sessions -= known - remaining
         return found
 
     def look(self) -> None:
