@@ -117,6 +117,7 @@ def test_an_interrupted_sweep_flies_the_rest_only(
 def test_a_long_flight_of_one_member_is_halted(monkeypatch: pytest.MonkeyPatch) -> None:
     # The other part fails at once. Without a halt, this test would take hours.
     monkeypatch.setattr(specification, "LANES", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})  # also on one core
     real = flown_before(1, monkeypatch)
     asked = sweep(
         {"flock": {"birds": 3, "t_max": 1e9, "record_every": 10**9}, "axes": {"speed[1]": [0, 1]}}
