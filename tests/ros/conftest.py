@@ -11,7 +11,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 
-from flock_sim.ros.process import ros_context
+from flock_sim.ros.log import ros_context
 from support.terminal import own_domain, ports
 from support.visitor import tell_fast_dds
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from subprocess import PIPE, Popen
 
 import pytest
@@ -21,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from flock_sim.ros.discovery import prepare_discovery
 from flock_sim.ros.endpoints import DrainedNode, latched
 from flock_sim.ros.fetch import let_fetch
-from flock_sim.ros.process import ros_context
+from flock_sim.ros.log import ros_context
 
 prepare_discovery()
 context = ros_context()
@@ -32,13 +33,19 @@ outlets = {
     name: node.create_publisher(Clock, name, latched(1000)) for name in ("/fetched", "/sent")
 }
 message = Clock()
+more = []
 for line in sys.stdin:
     name, count = line.split()
+    if name == "nodes":
+        more += [DrainedNode(f"node_{len(more)}", context=context) for _ in range(int(count))]
+        print("done", flush=True)
+        continue
     for _ in range(int(count)):
         message.clock.sec += 1
         outlets[name].publish(message)
     print("done", flush=True)
-node.destroy_node()
+for each in (node, *more):
+    each.destroy_node()
 rclpy.try_shutdown(context=context)
 """
 
@@ -56,7 +63,7 @@ class Talker:
         )
 
     def say(self, topic: str, count: int) -> None:
-        """Have it publish so many messages, and wait until it has."""
+        """Have it publish so many messages, and wait until it has. "nodes": make so many nodes."""
         assert self._process.stdin
         assert self._process.stdout
         self._process.stdin.write(f"{topic} {count}\n")
@@ -102,10 +109,15 @@ def test_what_is_fetched_is_not_sent_as_soon_as_it_is_published(
     assert talker.end() == 0
 
 
-def test_what_nodes_there_are_is_fetched_too(terminal: Terminal, visitor: Visitor) -> None:
-    assert fetch.ENDPOINTS_OF_ALL in fetch._known, "before the visitor's participant was made"
+def test_nodes_that_are_made_long_after_discovery_are_known_by_name(
+    terminal: Terminal, visitor: Visitor
+) -> None:
     talker = Talker(terminal, 0.02)
     visitor.until(lambda: "talker" in visitor.node.get_node_names())
+    for k in range(3):
+        time.sleep(0.5)  # Fast DDS has announced all that there is, and is at rest
+        talker.say("nodes", 1)
+        visitor.until(lambda k=k: f"node_{k}" in visitor.node.get_node_names())
     assert talker.end() == 0
 
 

@@ -19,8 +19,8 @@ from rosgraph_msgs.msg import Clock
 from flock_sim.configuration.flock_configuration import KEYS, MEANING, FlockConfiguration
 from flock_sim.configuration.operation import DEFAULTS, OPERATION
 from flock_sim.ros.endpoints import latched
+from flock_sim.ros.log import ros_context
 from flock_sim.ros.parameters.declared import declare, descriptor
-from flock_sim.ros.process import ros_context
 from support.terminal import Terminal
 from support.visitor import tell_fast_dds
 

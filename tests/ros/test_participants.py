@@ -15,7 +15,8 @@ from rclpy.node import Node
 
 from flock_sim.ros import fastdds_shutdown
 from flock_sim.ros.fastdds_shutdown import stop_discovery
-from flock_sim.ros.process import Process, executing, ros_context, run_node
+from flock_sim.ros.log import ros_context
+from flock_sim.ros.process import Process, executing, run_node
 from flock_sim.ros.settings_check import shared_memory, udp_sockets
 from support.terminal import own_domain, ports
 from support.visitor import tell_fast_dds

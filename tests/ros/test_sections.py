@@ -17,8 +17,8 @@ from rclpy.node import Node
 from flock_sim.configuration import parameter_file
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
+from flock_sim.ros.log import ros_context
 from flock_sim.ros.parameters.given import parameter_reader, what_is_given
-from flock_sim.ros.process import ros_context
 from support.terminal import Terminal
 
 ALL = "/**"

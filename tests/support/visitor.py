@@ -21,7 +21,7 @@ from flock_interfaces.srv import Stop
 from flock_sim.ros.discovery import PROFILES, prepare_discovery
 from flock_sim.ros.endpoints import latched
 from flock_sim.ros.fastdds_shutdown import leave
-from flock_sim.ros.process import ros_context
+from flock_sim.ros.log import ros_context
 from support.terminal import Done, Job, Terminal, ports
 
 DEADLINE = 60.0

@@ -39,8 +39,9 @@ from flock_sim.ros.discovery import (
     prepare_discovery,
     quiet_domains,
 )
+from flock_sim.ros.log import ros_context
 from flock_sim.ros.machine import machine_with_ros
-from flock_sim.ros.process import executing, ros_context
+from flock_sim.ros.process import executing
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
 

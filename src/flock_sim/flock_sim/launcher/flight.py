@@ -139,8 +139,9 @@ def _keep_time(plan: Plan, run_id: int, supervisor: Supervisor) -> dict[str, Any
     from flock_sim.messages import topics
     from flock_sim.nodes.clock import ClockNode, keep_time
     from flock_sim.protocol.clock import Timekeeper
+    from flock_sim.ros.log import ros_context
     from flock_sim.ros.parameters.declared import declare
-    from flock_sim.ros.process import executing, ros_context
+    from flock_sim.ros.process import executing
     from flock_sim.ros.settings_check import check_settings
     from flock_sim.ros.watchdog import Watchdog
 

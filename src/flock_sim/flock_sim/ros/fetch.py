@@ -5,7 +5,9 @@ By default Fast DDS sends each message to every listener when it is published. T
 system call, wakes the listener, and needs an acknowledgement. If no process waits for the message,
 this cost is not justified. In pull mode a writer announces its messages from time to time. A
 listener requests those that it lacks, and gets them in one batch from another thread of the writer.
-Listeners in the same process still get each message at once.
+
+Listeners in the same process still get each message at once, but no fetched topic may have any: if
+it has one, Fast DDS 2.14 does not announce a message that is published after a pause.
 
 The mode is a property of a profile, and rmw_fastrtps uses the profile with the name of the topic.
 ROS has no function to load profiles of single topics, so that of Fast DDS is called by its name in
@@ -21,10 +23,6 @@ from flock_sim.ros.discovery import our_settings
 from flock_sim.ros.fastdds_shutdown import GET_FACTORY, fast_dds
 
 LOAD = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory24load_XML_profiles_stringEPKcm"
-
-ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD = "ros_discovery_info", 0.1
-"""Topic on which ROS publishes all endpoints of a process again after each new one, and its fetch
-period in s. With fetching, only the latest message is sent per period, not one per endpoint."""
 
 _PROFILES = """\
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>{}</profiles></dds>"""

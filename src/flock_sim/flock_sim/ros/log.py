@@ -22,7 +22,7 @@ _QUIET = ("--ros-args", "--disable-stdout-logs", "--disable-external-lib-logs", 
 _quiet: WeakSet[Context] = WeakSet()
 
 
-def initialised(arguments: Sequence[str], *, quiet: bool) -> Context:
+def ros_context(arguments: Sequence[str] = (), *, quiet: bool = True) -> Context:
     """Return a new ROS context without signal handlers; `quiet`: a quiet one.
 
     The user's ROS `arguments` override that: with `--enable-stdout-logs`, ROS prints all messages.

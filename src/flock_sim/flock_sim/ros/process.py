@@ -26,8 +26,7 @@ from flock_sim.console.stdout import results_only_on_stdout
 from flock_sim.errors import FlockError
 from flock_sim.ros.discovery import NETWORK_HELP, prepare_discovery
 from flock_sim.ros.fastdds_shutdown import leave
-from flock_sim.ros.fetch import ENDPOINTS_OF_ALL, ENDPOINTS_PERIOD, let_fetch
-from flock_sim.ros.log import initialised, warn
+from flock_sim.ros.log import ros_context, warn
 from flock_sim.ros.parameters.given import is_renamed, parameter_reader, what_is_given
 from flock_sim.ros.settings_check import check_settings
 from flock_sim.ros.watchdog import Watchdog
@@ -96,16 +95,6 @@ def make_executor(kind: str, context: Context) -> Executor:
 def new_incarnation() -> int:
     """Return a number that distinguishes a node from its earlier incarnations."""
     return secrets.randbits(64)
-
-
-def ros_context(arguments: Sequence[str] = (), *, quiet: bool = True) -> Context:
-    """Return a new ROS context without signal handlers, with the settings of Flock.
-
-    A `quiet` one prints no log messages (`log.py`).
-    """
-    context = initialised(arguments, quiet=quiet)
-    let_fetch([ENDPOINTS_OF_ALL], ENDPOINTS_PERIOD)
-    return context
 
 
 def run_node(

@@ -21,7 +21,8 @@ from flock_sim.errors import RunFailed
 from flock_sim.messages import topics
 from flock_sim.ros.discovery import DOMAIN
 from flock_sim.ros.endpoints import FlockNode, latched
-from flock_sim.ros.process import executing, ros_context
+from flock_sim.ros.log import ros_context
+from flock_sim.ros.process import executing
 from flock_sim.ros.settings_check import check_settings
 from flock_tools.live.flock_monitor import Sample, View
 from flock_tools.live.players import Publisher

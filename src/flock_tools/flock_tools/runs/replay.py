@@ -24,7 +24,8 @@ from flock_sim.errors import FlockError
 from flock_sim.messages.topics import CLOCK_TOPIC
 from flock_sim.recording.own_parts import BIRD, recorded_parts
 from flock_sim.ros.fastdds_shutdown import leave
-from flock_sim.ros.process import executing, ros_context
+from flock_sim.ros.log import ros_context
+from flock_sim.ros.process import executing
 from flock_sim.ros.settings_check import check_settings
 from flock_tools.playback.keyboard import DOWN, QUIT, RIGHT, SPACE, UP, keyboard
 from flock_tools.playback.loop import Playback
