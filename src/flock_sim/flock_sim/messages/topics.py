@@ -28,7 +28,7 @@ FASTEST = 35_000
 """Approximate maximum rate of a flock, in bird steps per second."""
 
 SHORTEST_FETCH, LONGEST_FETCH = 0.02, 0.25
-FETCHES = 500
+FETCHES = 130
 """Limits, in s, of the delay before a bird announces a new state, and the number of announcements
 that all birds of a large flock make per second."""
 
