@@ -120,6 +120,12 @@ class State(Message):
         return step_at(State, data, STATE_STEP_AT)
 
     @staticmethod
+    def step_and_time_of(data: bytes) -> tuple[int, float]:
+        """Return step and time of a state in Flock's layout, without decoding it."""
+        step, time = _STEP_AND_TIME.unpack_from(data, STATE_STEP_AT)
+        return step, time
+
+    @staticmethod
     def lengths(members: int, forcing: int = 0, means: bool = True) -> struct.Struct:
         """Return the struct that reads the array lengths of an encoded state of `members`.
 
@@ -210,6 +216,7 @@ STATE_ENVELOPE = fixed_layout(*State.KINDS[-2:])
 _FRAME = len(FRAME) + 1, FRAME.encode()
 _HEAD = struct.Struct(f"<4siII{len(FRAME) + 1}s{-(len(FRAME) + 13) % 8}xQd")
 """The fields before the arrays, with the encapsulation."""
+_STEP_AND_TIME = struct.Struct("<Qd")
 _COUNT = struct.Struct("<I4x")
 """The length of an array, and the padding before its numbers, or before the envelope."""
 _NUMBER = np.dtype("<f8")

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.messages.rejection import FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
 from flock_sim.messages.stage_layout import has_layout
-from flock_sim.messages.state_layout import Layout, compact, layout_of, times_of
+from flock_sim.messages.state_layout import Layout, compact, layout_of
 from flock_sim.messages.topics import rows_ahead
 from flock_sim.messages.types import Ages, Memory, Message, Stage, State, Time, Wing
 from flock_sim.physics import formation
@@ -167,7 +167,7 @@ class RowAssembler:
         run = State.envelope(data)
         if run != self._run:
             return self._ignore_run(run)
-        step, (time,) = State.step_of(data), times_of([data])
+        step, time = State.step_and_time_of(data)
         if not abs(time - self._configuration.time(step)) < self._configuration.dt:
             return self._ignore(IMPOSSIBLE)
         return self._take(State, step, bird, State.opened(data))
@@ -262,22 +262,9 @@ class RowAssembler:
     def _complete(self) -> list[Row]:
         rows = []
         birds = self._birds
-        exchange_schedule = self._configuration.link_table.exchange_schedule
         while not self.complete:
             row = self._rows[self._next]
-            stages = 0
-            if self._record_stages and self._next:
-                stages = len(birds) * exchange_schedule.exchanges(
-                    self._next - self._every, self._next
-                )
-            if (
-                row.time is None
-                or (self._next == 0 and len(self._wings) < len(birds))
-                or len(row.of[State]) < len(birds)
-                or len(row.stages) < stages
-                or len(row.of[Memory]) < len(self._remember)
-                or len(row.of[Ages]) < self._tell_ages
-            ):
+            if row.time is None or not self._has_all(row):
                 break
             in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
             states = [row.of[State][bird] for bird in birds]
@@ -288,3 +275,21 @@ class RowAssembler:
             del self._rows[self._next]
             self._next += self._every
         return rows
+
+    def _has_all(self, row: _Gathering) -> bool:
+        """Whether the next row lacks at most the time. The states come first: they are the most."""
+        birds = len(self._birds)
+        return (
+            len(row.of[State]) >= birds
+            and (self._next > 0 or len(self._wings) >= birds)
+            and len(row.stages) >= self._stages_due()
+            and len(row.of[Memory]) >= len(self._remember)
+            and len(row.of[Ages]) >= self._tell_ages
+        )
+
+    def _stages_due(self) -> int:
+        """Return the number of stage messages of the next row."""
+        if not (self._record_stages and self._next):
+            return 0
+        schedule = self._configuration.link_table.exchange_schedule
+        return len(self._birds) * schedule.exchanges(self._next - self._every, self._next)

@@ -90,7 +90,8 @@ class RowDigest:
         layout = layout_of(states[0]) if states else None
         if layout is None or layout.members != self._members:
             return
-        if all(len(state) == layout.size for state in states):
+        size = layout.size
+        if all(len(state) == size for state in states):
             step, time, values = fields_of(b"".join(states), layout)
         elif all(members_of(state) == self._members for state in states):
             step, time = steps_of(states).astype(np.uint64), times_of(states)
