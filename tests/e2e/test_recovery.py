@@ -119,20 +119,26 @@ def test_a_flight_killed_as_a_whole_is_resumed(terminal: Terminal, moment: str) 
 
 
 @pytest.mark.slow
-def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(terminal: Terminal) -> None:
-    job = in_flight(terminal)
-    job.interrupt()
-    assert job.wait().status == 130
-    before = last_step(terminal.directory / "bag")
-    job = terminal.start("fly", "--resume", "bag", "--processes", 3)
-    job.until(lambda: last_step(terminal.directory / "bag") > before)
-    job.interrupt()
-    assert job.wait().status == 130
-    terminal.well("fly", "--resume", "bag")
-    assert_as_undisturbed(terminal)
+def test_a_flight_that_was_interrupted_is_resumed_as_often_as_one_likes(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    job = in_flight(terminal, flock=ENDLESS)
+    for processes in (3, 1):
+        job.interrupt()
+        assert job.wait().status == 130
+        before = last_step(terminal.directory / "bag")
+        job = terminal.start("fly", "--resume", "bag", "--processes", processes)
+        job.until(lambda before=before: last_step(terminal.directory / "bag") > before)
+    visitor.stop(job)
+    assert job.wait().status == 0
+    assert_stopped_as_the_reference(terminal, 3, 10, *ENDLESS)
+
+
+def test_a_flight_that_is_complete_is_not_resumed(terminal: Terminal) -> None:
+    terminal.well("fly", "--birds", 3, "--t-max", 100, "--output", "bag")
     again = terminal.well("fly", "--resume", "bag", "--json")
     assert "bag is complete: there is nothing to continue" in again.stderr
-    assert again.json["steps"] == STEPS
+    assert again.json["steps"] == 100
 
 
 @pytest.mark.parametrize(
