@@ -217,6 +217,7 @@ _FRAME = len(FRAME) + 1, FRAME.encode()
 _HEAD = struct.Struct(f"<4siII{len(FRAME) + 1}s{-(len(FRAME) + 13) % 8}xQd")
 """The fields before the arrays, with the encapsulation."""
 _STEP_AND_TIME = struct.Struct("<Qd")
+"""The last two of them."""
 _COUNT = struct.Struct("<I4x")
 """The length of an array, and the padding before its numbers, or before the envelope."""
 _NUMBER = np.dtype("<f8")

@@ -52,7 +52,7 @@ class _Gathering:
 
     def __init__(self) -> None:
         self.stages: dict[tuple[int, int], bytes] = {}
-        self.time: bytes | None = None
+        self.time = b""
         self.of: dict[type[Message], dict[int, bytes]] = {State: {}, Memory: {}, Ages: {}}
         """For each type of which a row has one message per bird, those messages by bird."""
 
@@ -262,10 +262,7 @@ class RowAssembler:
     def _complete(self) -> list[Row]:
         rows = []
         birds = self._birds
-        while not self.complete:
-            row = self._rows[self._next]
-            if row.time is None or not self._has_all(row):
-                break
+        while not self.complete and self._has_all(row := self._rows[self._next]):
             in_order = [(bird, row.stages[tick, bird]) for tick, bird in sorted(row.stages)]
             states = [row.of[State][bird] for bird in birds]
             wings = [] if self._next else [self._wings[bird] for bird in birds]
@@ -277,10 +274,11 @@ class RowAssembler:
         return rows
 
     def _has_all(self, row: _Gathering) -> bool:
-        """Whether the next row lacks at most the time. The states come first: they are the most."""
+        """Whether the next row lacks nothing. The states are the most messages: they come first."""
         birds = len(self._birds)
         return (
             len(row.of[State]) >= birds
+            and row.time != b""
             and (self._next > 0 or len(self._wings) >= birds)
             and len(row.stages) >= self._stages_due()
             and len(row.of[Memory]) >= len(self._remember)
