@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Listeners fetch states, many at a time. States are not sent one by one."""
+"""Listeners fetch states, many at a time. The list of nodes is sent, so that it is never late."""
 
 from __future__ import annotations
 
@@ -35,11 +35,9 @@ outlets = {
 message = Clock()
 more = []
 for line in sys.stdin:
-    name, count = line.split()
-    if name == "nodes":
-        more += [DrainedNode(f"node_{len(more)}", context=context) for _ in range(int(count))]
-        print("done", flush=True)
-        continue
+    what, name, count = line.split()
+    if what == "make":
+        more.append(DrainedNode(name, context=context))
     for _ in range(int(count)):
         message.clock.sec += 1
         outlets[name].publish(message)
@@ -63,10 +61,17 @@ class Talker:
         )
 
     def say(self, topic: str, count: int) -> None:
-        """Have it publish so many messages, and wait until it has. "nodes": make so many nodes."""
+        """Have it publish so many messages, and wait until it has."""
+        self._do(f"publish {topic} {count}")
+
+    def make(self, node: str) -> None:
+        """Have it make another node, and wait until it has."""
+        self._do(f"make {node} 0")
+
+    def _do(self, what: str) -> None:
         assert self._process.stdin
         assert self._process.stdout
-        self._process.stdin.write(f"{topic} {count}\n")
+        self._process.stdin.write(f"{what}\n")
         self._process.stdin.flush()
         assert self._process.stdout.readline() == "done\n"
 
@@ -116,7 +121,7 @@ def test_nodes_that_are_made_long_after_discovery_are_known_by_name(
     visitor.until(lambda: "talker" in visitor.node.get_node_names())
     for k in range(3):
         time.sleep(0.5)  # Fast DDS has announced all that there is, and is at rest
-        talker.say("nodes", 1)
+        talker.make(f"node_{k}")
         visitor.until(lambda k=k: f"node_{k}" in visitor.node.get_node_names())
     assert talker.end() == 0
 
