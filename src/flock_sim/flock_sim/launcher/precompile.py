@@ -146,17 +146,43 @@ def warm_integral() -> None:
     interaction_integral(1.0, 2.0, 0.5, 0.5)
 
 
-if __name__ == "__main__":
-    # The exchange loads ROS, which would end this process if that middleware is not installed.
-    os.environ.pop("RMW_IMPLEMENTATION", None)
+def warm_flights() -> None:
+    """Do the same with all kernels of flights, with and without ROS."""
     warm_reference(forcing=FORCING + GUSTS)
     warm_bird()
     warm_links()
     warm_exchange()
+
+
+def warm_steady_states() -> None:
+    """Do the same with all kernels of steady states, and the interaction integral."""
     for coupling in COUPLINGS:
         warm_equilibrium(coupling)
-        warm_response(coupling)
-    warm_stability()
     warm_sensitivity()
     warm_arrangement()
     warm_integral()
+
+
+def warm_disturbances() -> None:
+    """Do the same with all kernels of linear stability and responses."""
+    for coupling in COUPLINGS:
+        warm_response(coupling)
+    warm_stability()
+
+
+def main() -> None:
+    """Compile all kernels, on all cores."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    # The exchange loads ROS, which would end this process if that middleware is not installed.
+    os.environ.pop("RMW_IMPLEMENTATION", None)
+    # The longest one is first. Two processes compile what they share twice, and keep one result.
+    groups = (warm_flights, warm_steady_states, warm_disturbances)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+        for compiled in [pool.submit(group) for group in groups]:
+            compiled.result()
+
+
+if __name__ == "__main__":
+    main()
