@@ -133,7 +133,7 @@ def fly(of: Contestant) -> float:
 
 
 def compiled(of: Contestant) -> float:
-    """Return the time to compile all kernels into an empty cache, in s."""
+    """Return the time in which one process compiles all kernels into an empty cache, in s."""
     return float(of.print_of(1, *of.rates, "compile"))
 
 

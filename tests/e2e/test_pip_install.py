@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -90,7 +89,6 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 def test_equilibrium_reference_metrics_and_the_notebook_work(
     installed: Installed, tmp_path: Path
 ) -> None:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     found = json.loads(installed.run("flockflight", "equilibrium", "--birds", "5", "--json"))
     assert found["exists"] == [True]
 
@@ -105,9 +103,6 @@ def test_equilibrium_reference_metrics_and_the_notebook_work(
 
     installed.run("python", str(EXECUTE), "executed.ipynb")
     assert printed(installed.work / "executed.ipynb") == printed(NOTEBOOK)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    print(f"CPU time: {cpu:.0f} s")
 
 
 def test_the_command_tells_its_tools_and_what_needs_ros(installed: Installed) -> None:

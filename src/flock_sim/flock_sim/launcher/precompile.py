@@ -170,6 +170,10 @@ def warm_disturbances() -> None:
     warm_stability()
 
 
+GROUPS = (warm_flights, warm_steady_states, warm_disturbances)
+"""Functions that together compile all kernels, that of the longest time first."""
+
+
 def main() -> None:
     """Compile all kernels, on all cores."""
     from concurrent.futures import ProcessPoolExecutor
@@ -177,10 +181,9 @@ def main() -> None:
 
     # The exchange loads ROS, which would end this process if that middleware is not installed.
     os.environ.pop("RMW_IMPLEMENTATION", None)
-    # The longest one is first. Two processes compile what they share twice, and keep one result.
-    groups = (warm_flights, warm_steady_states, warm_disturbances)
+    # What two groups share may be compiled twice; one result is kept.
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for compiled in [pool.submit(group) for group in groups]:
+        for compiled in [pool.submit(group) for group in GROUPS]:
             compiled.result()
 
 
