@@ -23,6 +23,8 @@ BIRD = "flock_sim.nodes.bird_process"
 
 STEPS = 12_000
 FLOCK = ("--birds", 3, "--t-max", STEPS, "--record-every", 10)
+SLOWLY = ("--processes", 2, "--window", 2)
+"""The flight takes 10 s, so that no kill comes too late for it. It has the same values."""
 FORCING = (
     *("--forcing", "gust:std=1e-5,time=30,seed=4/5"),
     *("--forcing", "laws.py:cruise:speed=1.02,shake=1e-4,seed=1/2"),
@@ -44,7 +46,7 @@ def test_a_flight_is_killed_and_resumed_with_the_law_that_it_was_begun_with(
     terminal: Terminal, laws: Path, links: tuple[object, ...]
 ) -> None:
     bag = terminal.directory / "bag"
-    flight = terminal.start("fly", *FLOCK, *links, *FORCING, "--processes", 2, "--output", "bag")
+    flight = terminal.start("fly", *FLOCK, *links, *FORCING, *SLOWLY, "--output", "bag")
     flight.until(lambda: last_step(bag) > 0)
     os.kill(flight.workers(BIRD)[0], signal.SIGKILL)
     flight.until_said("was killed by SIGKILL: started again")

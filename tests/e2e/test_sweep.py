@@ -20,7 +20,8 @@ from flock_sim.recording.run import Run
 from support.terminal import Job, Terminal
 
 RATIOS, DELAYS = ("0.97", "1.0", "1.04"), ("0", "3")
-STEPS = 8000
+STEPS = 24_000
+"""Steps of a flight of some 4 s: a kill that waits for its first states does not come too late."""
 FILE = f"""\
 flock:
   birds: 3
