@@ -12,7 +12,7 @@ import resource
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from random import Random
@@ -398,6 +398,38 @@ def test_forged_control_messages_of_the_own_run_change_no_value(
     for bird, states in expected_states(flown).items():
         recorded = [data for topic, _, data in content if topic == topics.state_topic(bird)]
         assert recorded == states
+
+
+@pytest.mark.parametrize("beyond", [0, 1], ids=["an end", "a release"])
+@pytest.mark.parametrize("rewound", [False, True], ids=["in flight", "after a rewind"])
+def test_a_forged_end_does_not_end_a_flight(
+    context: Context, tmp_path: Path, rewound: bool, beyond: int
+) -> None:
+    flown = FlockConfiguration(birds=3, t_max=60.0, record_every=5)
+    forged = 0
+    with wired_flight(context, tmp_path / "bag", flown, RUN) as flight:
+        keeper = flight.clock.keeper
+
+        def before(topic: str, data: bytes) -> None:
+            nonlocal forged
+            if forged == 3 or keeper.step < 15 * (1 + forged):
+                return
+            forged += 1
+            if rewound:  # nobody is granted a step then, so that any end is possible
+                flight.clock.rewind()
+            end = keeper.grant.step + 4
+            for grant in (keeper.grant, replace(keeper.grant, step=end + beyond, end=end)):
+                for node in flight.nodes:
+                    if hear := inputs(node).get(topics.GRANT_TOPIC):
+                        hear(grant.encode())
+            flight.act()
+
+        flight.before = before
+        flight.fly()
+    assert forged == 3
+    content = bag_content(tmp_path / "bag")
+    for bird, states in expected_states(flown).items():
+        assert [data for topic, _, data in content if topic == topics.state_topic(bird)] == states
 
 
 PLAYED = FlockConfiguration(birds=3, t_max=60.0, record_every=5, span_ratios=("1=0.9,1.0",))

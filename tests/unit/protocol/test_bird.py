@@ -267,6 +267,31 @@ def test_a_bird_is_needed_until_the_clock_says_that_the_run_is_over():
     assert bird.step == configuration.steps
 
 
+@pytest.mark.parametrize("beyond", [0, 1], ids=["an end", "a release"])
+def test_one_grant_does_not_end_a_run_early_since_it_may_be_forged(beyond: int):
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    start(bird, 3, configuration)
+    bird.receive_grant(grant(4 + beyond, configuration, end=4))
+    bird.receive_grant(grant(6, configuration))
+    bird.receive_grant(grant(7, configuration, end=6))
+    out = bird.receive_grant(grant(8, configuration))
+    assert State.step_of(of(Channel.STATE, out)[-1]) == bird.step == configuration.steps
+    assert not bird.released
+
+
+@pytest.mark.parametrize("beyond", [0, 1], ids=["an end", "a release"])
+def test_a_second_grant_in_a_row_ends_a_run_early(beyond: int):
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    start(bird, 3, configuration)
+    bird.receive_grant(grant(4, configuration, end=4))
+    bird.receive_grant(grant(4 + beyond, configuration, end=4))
+    assert bird.finished
+    assert bird.step == 4
+    assert bird.released == bool(beyond)
+
+
 def test_a_bird_that_comes_back_when_the_run_is_over_is_not_needed():
     # The release is the last grant there is, and so the first that it hears: nobody answers it.
     configuration = configured()

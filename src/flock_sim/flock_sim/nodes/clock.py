@@ -113,14 +113,21 @@ class ClockNode(FlockNode):
         self._rejection_warnings.tell()
         self._diagnostics.tell(self._status)
 
-    def release(self) -> None:
-        """Release the other nodes if the run is finished."""
+    def release(self, stop: Stop | bool = False) -> None:
+        """Release the other nodes if the run is finished.
+
+        A stopped run takes two messages. Between them the clock waits, for REPEAT_EVERY at most or
+        until `stop`, since a node that still lacks the first one gets the second one only.
+        """
         self._log()
         if self.keeper.finished:
             self.get_logger().info(f"the flight is over {self.keeper.where}")
             self._send([self.keeper.release])
+            if self.keeper.stopped:
+                wait_until_heard([self._outlets[messages.Grant]], stop, REPEAT_EVERY)
+                self._send([self.keeper.release])
 
-    def farewell(self, stop: Stop) -> None:
+    def farewell(self, stop: Stop | bool) -> None:
         """Wait until all listeners have received everything, or until `stop`."""
         wait_until_heard(self._outlets.values(), stop, FAREWELL)
 

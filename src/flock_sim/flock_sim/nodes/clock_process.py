@@ -35,7 +35,7 @@ def work(process: Process) -> None:
         executor.add_node(clock)
         process.settle()
         keep_time(clock, executor, process.watchdog(clock), lambda: process.stop)
-        clock.release()
+        clock.release(process.stop)
         clock.farewell(process.stop)
 
 

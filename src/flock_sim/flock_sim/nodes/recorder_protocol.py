@@ -45,8 +45,6 @@ class RecorderProtocol:
         self.assembler = RowAssembler(configuration, record_stages, run.saved, factor > 0.0)
         self.joined = False
         """Whether the checkpoint of this epoch is published: rows are taken from then on."""
-        self.released = False
-        """Whether the clock has ended the run."""
         self.unsaved = 0
         """Number of rows that were written and are not on disk yet."""
         self._configuration = configuration
@@ -69,7 +67,7 @@ class RecorderProtocol:
     @property
     def finished(self) -> bool:
         """Whether all rows are on disk, and the clock has ended the run."""
-        return self.assembler.complete and self.released
+        return self.assembler.complete and self._session.over
 
     @property
     def may_join(self) -> bool:
@@ -107,8 +105,7 @@ class RecorderProtocol:
         new = session.take_grant(grant)
         if new:
             self._begin(grant)
-        self.released |= grant.step > grant.end
-        self.assembler.end_at(grant.end)
+        self.assembler.end_at(session.end)
         if grant.step > self._granted and not self.assembler.complete:
             self._granted = grant.step
             self._run.write_grant(grant.encode())
@@ -179,7 +176,7 @@ class RecorderProtocol:
 
     def _begin(self, grant: messages.Grant) -> None:
         """Begin an epoch: complete rows go on disk, the birds send the others again."""
-        self.joined = self.released = False
+        self.joined = False
         self._granted = -1
         self._push = grant.perturbation
         if not self._run.closed:

@@ -59,7 +59,6 @@ class BirdProtocol(Listener):
         self.ignored = 0
         self._configuration = configuration
         self._session = Session(bird_name(bird), configuration, run_id, incarnation)
-        self._end = configuration.steps
         self._granted = Granted()
         self.in_flight = False
         """Whether this bird exchanges stages: the checkpoint and every wing are known."""
@@ -99,7 +98,7 @@ class BirdProtocol(Listener):
     @property
     def finished(self) -> bool:
         """Whether the last step is reached and its state is sent, or the run has ended."""
-        return self.released or (self._held and self.step >= self._end)
+        return self.released or (self._held and self.step >= self._session.end)
 
     @property
     def missing(self) -> list[int]:
@@ -217,7 +216,6 @@ class BirdProtocol(Listener):
         """Drop the current epoch, and wait for the checkpoint of the grant's epoch."""
         run_id, epoch = self._session.now
         self._checkpoints.forget_old()
-        self._end = grant.end
         self.in_flight = self._held = False
         self._start = -1
         self._inbox.close(run_id, epoch)
@@ -231,10 +229,9 @@ class BirdProtocol(Listener):
 
     def _extend(self, grant: Grant) -> list[Outgoing]:
         """Continue as far as a grant of this epoch allows."""
-        self._end = min(self._end, grant.end)
         if grant.step <= self._granted.step:
             return []
-        self._granted.extend(min(grant.step, self._end), self.step)
+        self._granted.extend(min(grant.step, self._session.end), self.step)
         out = self.advance() if self._held else []
         self._plan()
         return out

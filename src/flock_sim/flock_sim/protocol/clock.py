@@ -139,8 +139,17 @@ class Timekeeper:
 
     @property
     def release(self) -> Grant:
-        """The message that ends the run: a grant beyond its end releases the birds."""
+        """The message that ends the run: a grant beyond its end releases the birds.
+
+        Nodes have to hear it twice if the run was `stopped`, as they may have heard of this end in
+        no other grant.
+        """
         return self._grant(self.end + 1)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run ends earlier than the configuration says."""
+        return self.end < self._configuration.steps
 
     @property
     def finished(self) -> bool:
@@ -281,13 +290,16 @@ class Timekeeper:
         return step, [push, *self.rewind()]
 
     def stop(self) -> list[Message]:
-        """End the run at the last granted step; during a rewind, where it would continue."""
+        """End the run at the last granted step; during a rewind, where it would continue.
+
+        Nodes take an earlier end at the second grant that names it.
+        """
         self.pausing.at = None
         self._stopping = not self.begun
         if self._stopping:
             return []
         self.end = self._window.granted
-        return [self.grant]
+        return [self.grant, self.grant]
 
     def _ignore(self, reason: str) -> list[Message]:
         self.ignored_for[reason] += 1

@@ -78,7 +78,6 @@ class FreeBird(Listener):
         self._factor = factor
         self._period = configuration.dt * configuration.second / factor
         self._session = Session(bird_name(bird), configuration, run_id, incarnation, factor)
-        self._end = configuration.steps
         self._granted = -1
         self._reached = -1
         self._begun: float | None = None  # when step 0 was taken
@@ -113,7 +112,7 @@ class FreeBird(Listener):
     @property
     def finished(self) -> bool:
         """Whether the last step is reached and its state is sent, or the run has ended."""
-        return self.released or self.step > self._end
+        return self.released or self.step > self._session.end
 
     @property
     def missing(self) -> list[int]:
@@ -123,7 +122,7 @@ class FreeBird(Listener):
     @property
     def due(self) -> float:
         """Time at which the next step is due, in s; inf if the bird must wait for another node."""
-        last = self.step == self._end
+        last = self.step == self._session.end
         if not self.in_flight or self.finished or self.step >= self._granted + last:
             return math.inf
         return -math.inf if self._begun is None else self._begun + self.step * self._period
@@ -185,7 +184,7 @@ class FreeBird(Listener):
         self._feel(0)
         if self.step % self._configuration.record_every == 0:
             out += self._record(age)
-        last = self.step == self._end
+        last = self.step == self._session.end
         self._reached = self.step
         if last or self.step + 1 >= self._granted or now >= self._reported + REPORT_EVERY:
             self._reported = now
@@ -221,7 +220,6 @@ class FreeBird(Listener):
 
     def _extend(self, grant: Grant) -> list[Outgoing]:
         """Continue as far as the grant allows."""
-        self._end = grant.end
         self._granted = max(self._granted, min(grant.step, grant.end))
         self._session.flying = self.in_flight
         return []

@@ -105,7 +105,6 @@ class Listener:
 
     _around: Neighbourhood
     _session: Session
-    _end: int
     bird: int
     """Its number, from 1."""
     ignored: int
@@ -126,7 +125,7 @@ class Listener:
     @property
     def released(self) -> bool:
         """Whether the clock has ended the run and no node needs this bird any more."""
-        return self._session.released(self.step, self._end)
+        return self._session.released(self.step)
 
     @property
     def neighbours(self) -> tuple[int, ...]:

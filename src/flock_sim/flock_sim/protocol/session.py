@@ -46,15 +46,19 @@ class Session:
         """A number that the clock has not heard before makes it begin a new epoch."""
         self.flying = False
         """Whether the node flies in this epoch."""
+        self.end = configuration.steps
+        """The last step of the run: of the configuration, or the step at which it is stopped."""
+        self.over = False
+        """Whether the clock has ended the run."""
         self._who = who
         self._configuration = configuration
         self._factor = factor
         self._terms = ""
         self._other: tuple[str, float, int] | None = None  # terms, dt, end of another flight
         self._granted = -1
-        self._over = False  # the clock has ended the run
         self._silent = False  # no message has arrived since
         self._doubted = NEVER  # the last epoch out of reach in a grant
+        self._named_end = self.end  # of the last grant of this epoch
         self._anew = 0  # grants of later epochs received in a free flight
 
     @property
@@ -106,31 +110,39 @@ class Session:
         return IMPOSSIBLE if same and grant.end < self._granted else ""
 
     def take_grant(self, grant: Grant) -> bool:
-        """Apply a grant that is not refused; return whether it begins a new epoch."""
+        """Apply a grant that is not refused; return whether it begins a new epoch.
+
+        If it stops the run before the known end, it does so at the second grant in a row that names
+        this end: the first one may be forged.
+        """
         self._terms = grant.terms
         new = grant.epoch != self.epoch
         if new:
             if out_of_reach(grant.epoch, self.epoch):
                 self.reincarnate()
             self.run_id, self.epoch = grant.run_id, grant.epoch
-            self.flying = self._over = self._silent = False
+            self.flying = self.over = self._silent = False
             self._granted = -1
-        self._over |= grant.step > grant.end
+            self.end = grant.end
+        elif grant.end == self._named_end:
+            self.end = min(self.end, grant.end)
+        self._named_end = grant.end
+        self.over |= grant.step > self.end
         self._granted = max(self._granted, min(grant.step, grant.end))
         return new
 
-    def released(self, step: int, end: int) -> bool:
-        """Whether the run is over for a node at `step` of a run that ends at `end`.
+    def released(self, step: int) -> bool:
+        """Whether the run is over for a node at `step`.
 
         A node that flies continues to the last recorded step, so that no message can end it early.
         It ends earlier only if no more messages arrive.
         """
-        last_row = end - end % self._configuration.record_every
-        return self._over and (not self.flying or self._silent or step >= last_row)
+        last_row = self.end - self.end % self._configuration.record_every
+        return self.over and (not self.flying or self._silent or step >= last_row)
 
     def hear_nothing(self) -> None:
         """Note that no message has arrived for a while."""
-        self._silent = self._over
+        self._silent = self.over
 
     def reincarnate(self) -> None:
         """Take another incarnation: this node can't continue an epoch that others have begun.
