@@ -98,7 +98,9 @@ def test_every_tool_that_reads_the_bag_does_without_the_file(
         assert done.status == 0, (words, done.stderr)
     with Run(torn.with_name("repaired")) as run, Run(torn) as before:
         assert run.own_parts == before.own_parts
-        assert np.array_equal(run.at().forcing_state, before.at().forcing_state)
+        last = before.at()  # `repair` also finds the messages before a cut in the last chunk
+        assert run.at().step >= last.step
+        assert np.array_equal(run.at(last.time).forcing_state, last.forcing_state)
     flown = load(terminal.directory / "bag")
     assert flown.forcing_state.dims == ("time", "bird", "state_number", "member")
     assert flown.forcing_state.shape == (STEPS // 10 + 1, 3, 3, 2)
