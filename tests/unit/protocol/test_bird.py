@@ -280,6 +280,21 @@ def test_one_grant_does_not_end_a_run_early_since_it_may_be_forged(beyond: int):
     assert not bird.released
 
 
+def test_a_forged_release_does_not_end_a_bird_that_has_not_begun():
+    configuration = configured(birds=1)
+    bird = BirdProtocol(1, configuration)
+    bird.receive_grant(grant(0, configuration))
+    bird.receive_grant(grant(configuration.steps + 1, configuration))
+    assert not bird.released
+    assert not bird.finished
+    assert bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH)) == []
+    assert "a new epoch from the clock" in bird.waiting_for  # it asks for one by its reports
+    bird.receive_grant(grant(0, configuration, epoch=EPOCH + 1))
+    bird.receive_checkpoint(Checkpoint.of_start(RUN, EPOCH + 1))
+    bird.receive_grant(grant(configuration.steps, configuration, epoch=EPOCH + 1))
+    assert bird.step == configuration.steps
+
+
 @pytest.mark.parametrize("beyond", [0, 1], ids=["an end", "a release"])
 def test_a_second_grant_in_a_row_ends_a_run_early(beyond: int):
     configuration = configured(birds=1)

@@ -56,7 +56,8 @@ class Session:
         self._terms = ""
         self._other: tuple[str, float, int] | None = None  # terms, dt, end of another flight
         self._granted = -1
-        self._silent = False  # no message has arrived since
+        self._came_late = False  # this epoch's first grant ended the run
+        self._silent = False  # no message has arrived since the run was over
         self._doubted = NEVER  # the last epoch out of reach in a grant
         self._named_end = self.end  # of the last grant of this epoch
         self._anew = 0  # grants of later epochs received in a free flight
@@ -124,6 +125,7 @@ class Session:
             self.flying = self.over = self._silent = False
             self._granted = -1
             self.end = grant.end
+            self._came_late = grant.step > grant.end
         elif grant.end == self._named_end:
             self.end = min(self.end, grant.end)
         self._named_end = grant.end
@@ -134,11 +136,12 @@ class Session:
     def released(self, step: int) -> bool:
         """Whether the run is over for a node at `step`.
 
-        A node that flies continues to the last recorded step, so that no message can end it early.
-        It ends earlier only if no more messages arrive.
+        A node continues to the last recorded step, so that no message can end it early. It ends
+        earlier if no more messages arrive, or if it has come back when the run was over.
         """
         last_row = self.end - self.end % self._configuration.record_every
-        return self.over and (not self.flying or self._silent or step >= last_row)
+        flown = self.flying and step >= last_row
+        return self.over and (flown or self._silent or self._came_late)
 
     def hear_nothing(self) -> None:
         """Note that no message has arrived for a while."""
