@@ -432,6 +432,29 @@ def test_a_forged_end_does_not_end_a_flight(
         assert [data for topic, _, data in content if topic == topics.state_topic(bird)] == states
 
 
+@pytest.mark.parametrize("end", [20, 60], ids=["stopped", "flown to its end"])
+def test_a_stopped_flight_is_ended_twice(context: Context, tmp_path: Path, end: int) -> None:
+    flown = FlockConfiguration(birds=3, t_max=60.0, record_every=5)
+    with wired_flight(context, tmp_path / "bag", flown, RUN) as flight:
+        keeper = flight.clock.keeper
+
+        def before(topic: str, data: bytes) -> None:
+            if not keeper.stopped and keeper.grant.step >= end < flown.steps:
+                flight.wires.sent.extend((topics.GRANT_TOPIC, m.encode()) for m in keeper.stop())
+
+        flight.before = before
+        flight.fly()
+        flight.wires.sent.clear()
+        flight.clock.release()
+        last = [data for topic, data in flight.wires.sent if topic == topics.GRANT_TOPIC]
+    assert last == (2 if keeper.stopped else 1) * [keeper.release.encode()]
+    assert keeper.stopped == (end < flown.steps)
+    content = bag_content(tmp_path / "bag")
+    for bird, states in expected_states(flown).items():
+        recorded = [data for topic, _, data in content if topic == topics.state_topic(bird)]
+        assert recorded == states[: 1 + keeper.end // flown.record_every]
+
+
 PLAYED = FlockConfiguration(birds=3, t_max=60.0, record_every=5, span_ratios=("1=0.9,1.0",))
 
 

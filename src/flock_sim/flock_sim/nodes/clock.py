@@ -127,7 +127,7 @@ class ClockNode(FlockNode):
                 wait_until_heard([self._outlets[messages.Grant]], stop, REPEAT_EVERY)
                 self._send([self.keeper.release])
 
-    def farewell(self, stop: Stop | bool) -> None:
+    def farewell(self, stop: Stop) -> None:
         """Wait until all listeners have received everything, or until `stop`."""
         wait_until_heard(self._outlets.values(), stop, FAREWELL)
 
