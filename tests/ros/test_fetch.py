@@ -114,6 +114,25 @@ def test_what_is_fetched_is_not_sent_as_soon_as_it_is_published(
     assert talker.end() == 0
 
 
+def test_fetched_messages_carry_no_announcements(terminal: Terminal, visitor: Visitor) -> None:
+    """Fast DDS adds one to each message once the queue of the publisher is full, by default.
+
+    A request of DDS names up to 256 messages. The next announcement, of those after them, comes in
+    an hour.
+    """
+    talker = Talker(terminal, 3600.0)
+    talker.say("/fetched", 1200)  # the queue has room for 1000
+    talker.say("/sent", 1)
+    fetched = visitor.hear(Clock, "/fetched", depth=1000)
+    sent = visitor.hear(Clock, "/sent", depth=1000)
+    visitor.until(lambda: len(fetched) >= 256 and sent)
+    for k in range(2, 102):
+        talker.say("/sent", 1)
+        visitor.until(lambda k=k: len(sent) == k)
+    assert [message.clock.sec for message in fetched] == list(range(201, 457))
+    assert talker.end() == 0
+
+
 def test_nodes_that_are_made_long_after_discovery_are_known_by_name(
     terminal: Terminal, visitor: Visitor
 ) -> None:
