@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
+from pathlib import Path
 from subprocess import PIPE, Popen
 
 import pytest
@@ -75,6 +77,16 @@ class Talker:
         self._process.stdin.flush()
         assert self._process.stdout.readline() == "done\n"
 
+    @property
+    def wake_ups(self) -> int:
+        """How often the thread for the timers of Fast DDS has waited so far."""
+        tasks = Path(f"/proc/{self._process.pid}/task").iterdir()
+        (timers,) = (task for task in tasks if (task / "comm").read_text().startswith("dds.ev."))
+        status = (timers / "status").read_text()
+        found = re.search(r"^voluntary_ctxt_switches:\s+(\d+)$", status, re.MULTILINE)
+        assert found
+        return int(found[1])
+
     def end(self) -> int:
         """Have it end; return its exit status."""
         self._process.communicate()
@@ -130,6 +142,22 @@ def test_fetched_messages_carry_no_announcements(terminal: Terminal, visitor: Vi
         talker.say("/sent", 1)
         visitor.until(lambda k=k: len(sent) == k)
     assert [message.clock.sec for message in fetched] == list(range(201, 457))
+    assert talker.end() == 0
+
+
+def test_sending_messages_does_not_wake_the_timers_each_time(
+    terminal: Terminal, visitor: Visitor
+) -> None:
+    talker = Talker(terminal, 0.02)
+    sent = visitor.hear(Clock, "/sent", depth=1000)
+    talker.say("/sent", 1)
+    visitor.until(lambda: sent)
+    before, begun = talker.wake_ups, time.monotonic()
+    for k in range(20):
+        talker.say("/sent", 100)
+        visitor.until(lambda k=k: len(sent) > 100 * (k + 1))
+    # A publisher starts a timer of 10 ms and one of 20 ms. Others run at 1 to 10 times per second.
+    assert talker.wake_ups - before < 100 + 250 * (time.monotonic() - begun)
     assert talker.end() == 0
 
 

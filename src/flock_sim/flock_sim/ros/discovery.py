@@ -224,7 +224,7 @@ def _forget_what_we_told() -> None:
 def _settings(reach: str) -> tuple[str, str]:
     """Return the variable for the settings of this Fast DDS, and our file for `reach`.
 
-    Versions 2 and 3 have separate files, since an element has another name in version 3. Fast DDS
+    Versions 2 and 3 have separate files, since two elements have other names in version 3. Fast DDS
     ignores a whole file that has an unknown name in it.
     """
     from ament_index_python.packages import get_package_share_directory

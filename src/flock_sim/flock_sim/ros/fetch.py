@@ -9,9 +9,9 @@ listener requests those that it lacks, and gets them in one batch from another t
 Listeners in the same process still get each message at once, but no fetched topic may have any: if
 it has one, Fast DDS 2.14 does not announce a message that is published after a pause.
 
-Messages carry no announcements themselves, as in our settings for one machine, which a profile of a
-topic replaces. By default each message carries one once the queue of its writer is full, and each
-listener answers it.
+A profile of a topic replaces the default one, so it repeats what our settings say (`machine.xml`):
+messages carry no announcements, and start no timer. By default each message carries an announcement
+once the queue of its writer is full, and each listener answers it.
 
 The mode is a property of a profile, and rmw_fastrtps uses the profile with the name of the topic.
 ROS has no function to load profiles of single topics, so that of Fast DDS is called by its name in
@@ -33,7 +33,10 @@ _PROFILES = """\
 
 _PROFILE = """
 <data_writer profile_name="{topic}">
-  <times><heartbeatPeriod><sec>{sec}</sec><nanosec>{nanosec}</nanosec></heartbeatPeriod></times>
+  <times>
+    <heartbeatPeriod><sec>{sec}</sec><nanosec>{nanosec}</nanosec></heartbeatPeriod>
+    <nackSupressionDuration><nanosec>10000000</nanosec></nackSupressionDuration>
+  </times>
   <qos><disable_heartbeat_piggyback>true</disable_heartbeat_piggyback></qos>
   <propertiesPolicy><properties>
     <property><name>fastdds.push_mode</name><value>false</value></property>
