@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report in a real browser: animated, without network requests, and accessible.
 
-Chromium is the machine's own (`apt-get install chromium`). axe-core checks the accessibility.
+axe-core checks the accessibility.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import islice
 from pathlib import Path
 
-import axe_playwright_python
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.physics.scaling import Scales
@@ -24,10 +21,9 @@ from flock_sim.recording import flight_bag
 from flock_sim.reference.integrator import Reference
 from flock_tools.commands.report import tool
 from flock_tools.runs.dataset import load
+from support.browser import needs_chromium, open_browser, violations
 from support.flights import record
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 HOSTILE = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
 WIDE, NARROW = (1280, 900), (390, 844)
 LARGEST = 3_000_000
@@ -39,21 +35,15 @@ CHARTS = (
 )
 PARTS = ("flight", "theory", "configuration", "provenance")
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="there is no Chromium here: apt-get install chromium"
-)
+pytestmark = needs_chromium
 
 Opener = Callable[..., Page]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        # A sandbox of its own is what root has not.
-        arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+    with open_browser() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")
@@ -291,12 +281,7 @@ def test_axe_finds_nothing_amiss(
     page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
     assert [each for each in PARTS if page.locator(f"#{each}").is_visible()] == list(PARTS)
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
-    found = page.evaluate(f"{AXE.read_text(encoding='utf-8')}\n;axe.run()")
-    assert len(found["passes"]) > 20
-    violations = [
-        (each["id"], [at["html"] for at in each["nodes"]]) for each in found["violations"]
-    ]
-    assert violations == []
+    assert violations(page) == []
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW])

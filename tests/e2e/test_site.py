@@ -22,7 +22,7 @@ import pytest
 from fontTools.ttLib import TTFont
 from playwright.sync_api import Browser, Page
 
-from support.browser import CHROMIUM, open_browser, violations
+from support.browser import needs_chromium, open_browser, violations
 
 ROOT = Path(__file__).parents[2]
 FORMULAS = ("index", "model", "lag", "response", "arrange")
@@ -30,7 +30,7 @@ PAGES = ("index", "model", "response", "python", "architecture")
 WIDE, NARROW = (1280, 900), (390, 844)
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium: apt-get install chromium"),
+    needs_chromium,
     pytest.mark.skipif(find_spec("mkdocs") is None, reason="there is no MkDocs: make docs"),
 ]
 
