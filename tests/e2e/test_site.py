@@ -29,6 +29,19 @@ FORMULAS = ("index", "model", "lag", "response", "arrange")
 PAGES = ("index", "model", "response", "python", "architecture")
 WIDE, NARROW = (1280, 900), (390, 844)
 
+SETTLED = """async () => {
+  const frame = () => new Promise((done) => requestAnimationFrame(done));
+  for (let frames = 0; frames < 2; frames++) await frame();
+  const scrolls = (code) => code.scrollWidth > code.clientWidth;
+  const reached = (code) => !scrolls(code) || code.tabIndex === 0;
+  return document.querySelector('html.js') &&
+    [...document.querySelectorAll('pre > code')].every(reached);
+}"""
+"""Whether the script of the theme has run, and let the keyboard reach all code that scrolls.
+
+On a busy machine, this is later than the last request.
+"""
+
 pytestmark = [
     needs_chromium,
     pytest.mark.skipif(find_spec("mkdocs") is None, reason="there is no MkDocs: make docs"),
@@ -82,6 +95,7 @@ def opening(browser: Browser, url: str, size: tuple[int, int], scheme: str) -> I
     page.on("pageerror", lambda error: logged.append(str(error)))
     page.on("request", lambda request: requested.append(request.url))
     page.goto(url, wait_until="networkidle")
+    page.wait_for_function(SETTLED)
     try:
         yield page
         assert logged == []
