@@ -171,7 +171,7 @@ def warm_disturbances() -> None:
 
 
 GROUPS = (warm_flights, warm_steady_states, warm_disturbances)
-"""Functions that together compile all kernels, that of the longest time first."""
+"""Functions that together compile all kernels. The one that takes longest is the first."""
 
 
 def main() -> None:
