@@ -31,7 +31,8 @@ WIDE, NARROW = (1280, 900), (390, 844)
 
 SETTLED = """async () => {
   const frame = () => new Promise((done) => requestAnimationFrame(done));
-  for (let frames = 0; frames < 2; frames++) await frame();
+  await frame();
+  await frame();
   const scrolls = (code) => code.scrollWidth > code.clientWidth;
   const reached = (code) => !scrolls(code) || code.tabIndex === 0;
   return document.querySelector('html.js') &&
