@@ -5,8 +5,8 @@
 
 Every other flight is one of nodes by hand (clock, recorder and each bird a process, each started
 again at once), the others are `fly`, whose workers are killed, or all of it, and resumed. Moments
-are drawn so that some kills meet the start, some a rewind, some the end. Each bag must equal the
-reference's. Prints what it came to.
+are drawn so that some kills meet the start, some a rewind, some the end. At least one kill of each
+flight meets birds that fly. Each bag must equal the reference's. Prints what it came to.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from random import Random
 from flock_sim.messages import topics
 from flock_sim.messages.types import Grant
 from flock_sim.recording.run import Run
+from support.bags import last_step
 from support.terminal import Job, Terminal, open_terminal
 
 BIRDS = 4
@@ -71,7 +72,7 @@ class Toll:
 
 
 class Watch:
-    """Follows the growth of a bag's file, which only new rows make."""
+    """Follows the growth of a bag's file, which only new rows make once there is one of a step."""
 
     def __init__(self, bag: Path) -> None:
         self._bag = bag
@@ -80,21 +81,31 @@ class Watch:
         self.longest = 0.0
 
     def grew(self) -> bool:
-        """Look; return whether there is more than before."""
+        """Look; return whether there are more steps than before."""
         size = sum(file.stat().st_size for file in self._bag.glob("*.mcap"))
         now = time.monotonic()
         if size <= self._size:
             return False
         if self._grown is not None:
             self.longest = max(self.longest, now - self._grown)
+        elif last_step(self._bag) <= 0:
+            return False
         self._size, self._grown = size, now
         return True
 
 
+AT_NEW_ROWS = (math.inf, math.inf)
+
+
 class Executioner:
-    """Draws the moments of kills, and the victims: none so often that nothing can ever be flown."""
+    """Draws the moments of kills, and the victims: none so often that nothing can ever be flown.
+
+    The first kill of a flight may come before it flies. The second one waits for new rows, so that
+    each flight of two kills is hit in flight, however long its processes take to start.
+    """
 
     MERCY = 3
+    FIRST = (0.0, 4.0)
 
     def __init__(self, random: Random, budget: int, pace: float) -> None:
         """Kill `budget` times; moments are drawn as for flights `pace` times as long."""
@@ -102,10 +113,13 @@ class Executioner:
         self.left = budget
         self._pace = pace
         self._hits: dict[str, int] = {}
-        self._due = self._soon(0.0, 4.0)
+        self._due = self._soon(*self.FIRST)
+        self._second = True
 
     def _soon(self, low: float, high: float) -> float:
         """Return a monotonic time, in s, between `low` and `high` s of a long flight from now."""
+        if low == math.inf:
+            return math.inf
         return time.monotonic() + self._random.uniform(low, high) / self._pace
 
     def victim(self, candidates: dict[str, int], grew: bool) -> tuple[str, int] | None:
@@ -123,10 +137,9 @@ class Executioner:
         self._hits[who] = self._hits.get(who, 0) + 1
         self.left -= 1
         # Soon, while others recover; a little later; or not before there are new rows on disk.
-        low, high = self._random.choice(
-            [(0.0, 0.3), (0.3, 2.0), (math.inf, math.inf), (math.inf, math.inf)]
-        )
-        self._due = math.inf if low == math.inf else self._soon(low, high)
+        moments = [AT_NEW_ROWS] if self._second else [(0.0, 0.3), (0.3, 2.0), *2 * [AT_NEW_ROWS]]
+        self._due = self._soon(*self._random.choice(moments))
+        self._second = False
         return who, spared[who]
 
 
@@ -168,9 +181,9 @@ def composed(
         assert time.monotonic() < deadline, job.stderr
         grew = watch.grew()
         candidates = {"fly": job.process.pid}
-        for module in ("bird", "recorder"):
-            for k, pid in enumerate(sorted(job.workers(f"flock_sim.nodes.{module}"))):
-                candidates[f"{module} process {k}"] = pid
+        for kind in ("bird", "recorder"):
+            for k, pid in enumerate(sorted(job.workers(f"flock_sim.nodes.{kind}_process"))):
+                candidates[f"{kind} process {k}"] = pid
         if found := executioner.victim(candidates, grew):
             who, pid = found
             if who != "fly":

@@ -19,6 +19,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,7 @@ class Job:
 
     def workers(self, module: str) -> list[int]:
         """Return the processes that run `module` on behalf of this tool."""
+        assert find_spec(module), module
         return [
             pid
             for pid in self._terminal.processes()
