@@ -14,7 +14,7 @@ import pytest
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
 from flock_sim.messages import topics
-from flock_sim.messages.epochs import REACH
+from flock_sim.messages.epochs import CLOCKS, REACH
 from flock_sim.messages.handshake import check_handshake, handshake, run_id_of
 from flock_sim.messages.topics import RECORDER, bird_name
 from flock_sim.messages.types import Checkpoint, Grant, Progress, Stage, State, Wing
@@ -275,15 +275,27 @@ def test_the_first_life_of_each_begins_no_epoch() -> None:
 def test_a_clock_goes_beyond_the_epochs_that_it_hears_of() -> None:
     keeper = clock(epoch=5)
     (grant,) = tell(keeper, 3, "bird_01", epoch=9)
-    assert (grant.epoch, grant.step) == (10, 0)
+    assert (grant.epoch, grant.step) == (begun := 5 + CLOCKS, 0)
     assert tell(keeper, 3, "bird_01", epoch=9) == []
     assert tell(keeper, 3, "bird_02", epoch=9) == []
-    assert keeper.epoch == 10
+    assert keeper.epoch == begun
     gather(keeper, 3, 3)
-    assert tell(keeper, 3, "bird_02", epoch=11 + REACH) == []
-    assert keeper.epoch == 10
-    assert tell(keeper, 3, "bird_02", epoch=10 + REACH) != []
-    assert keeper.epoch == 11 + REACH
+    assert tell(keeper, 3, "bird_02", epoch=begun + 1 + REACH) == []
+    assert keeper.epoch == begun
+    assert tell(keeper, 3, "bird_02", epoch=begun + REACH) != []
+    assert keeper.epoch == begun + CLOCKS + REACH
+
+
+@pytest.mark.parametrize("first", [1, 6, 7, CLOCKS, REACH])
+def test_a_clock_begins_no_epoch_of_the_clock_before_it(first: int) -> None:
+    # Birds keep their reports of some time for a new clock, and it hears the oldest ones first.
+    before = clock(epoch=first + CLOCKS // 2 + 1)
+    keeper = clock(epoch=first)
+    for _ in range(9):
+        tell(keeper, 3, "bird_01", epoch=before.epoch)
+        before.rewind()
+    assert before.epoch < keeper.epoch
+    assert keeper.rewinds.count == 1
 
 
 def test_leave_begins_anew_at_what_is_on_disk() -> None:
@@ -442,6 +454,18 @@ def test_a_bird_dies_in_every_rewind_that_the_one_before_began(seed: int, record
         flight.bring(bird_name(1 + k % 3))
         fly_until(flight, lambda epoch=epoch: flight.keeper.epoch > epoch)
         flight.deliver_some(k)
+    flight.settle()
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_birds_die_and_then_the_clock_before_it_knows(seed: int) -> None:
+    flight = world(seed=seed, t_max=30.0)
+    for step in (2, 4, 6):
+        fly_until(flight, lambda step=step: flight.keeper.step >= step)
+        flight.rewind()  # so that the first bird has reports of several epochs for a new clock
+    fly_until(flight, lambda: flight.keeper.step >= 8)
+    flight.kill("bird_02", "bird_03", CLOCK)
+    flight.bring("bird_02", "bird_03", CLOCK)
     flight.settle()
 
 

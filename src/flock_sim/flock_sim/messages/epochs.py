@@ -8,8 +8,10 @@ comes from a message that no node of the flight has sent.
 
 A clock draws its first epoch at random from REACH numbers, so that a restarted clock is not
 confused with the previous one. If the previous clock had reached later epochs, the birds and the
-recorder report them in their progress, and the new clock goes beyond them. The time of day of a
-computer is not used.
+recorder report them in their progress, and the new clock goes beyond them. It receives the oldest
+reports first, so the epoch after a reported one may be one that the previous clock has begun. It
+takes one of the next CLOCKS epochs, determined by its first one. The time of day of a computer is
+not used.
 """
 
 from __future__ import annotations
@@ -25,6 +27,9 @@ NEVER = -1
 
 REACH = 2**20
 """Largest distance between epochs of genuine messages. To move further takes two messages."""
+
+CLOCKS = 2**12
+"""Number of epochs among which a new clock takes one, after an epoch of the previous clock."""
 
 
 def first_epoch() -> int:
@@ -62,6 +67,17 @@ def in_order(epochs: Iterable[int]) -> list[int]:
 def following(epoch: int) -> int:
     """Return the epoch after `epoch`. 0 is not an epoch: in messages it means "no push"."""
     return (epoch + 1) % EPOCHS or 1
+
+
+def beyond(epoch: int, first: int) -> int:
+    """Return where a clock goes on that began with epoch `first`, and hears of a later `epoch`.
+
+    It is the next epoch that equals `first` modulo CLOCKS: two clocks rarely take the same one.
+
+    >>> beyond(9, first=5), beyond(10_000, first=5)
+    (4101, 12293)
+    """
+    return following(epoch + (first - epoch - 1) % CLOCKS)
 
 
 def before(epoch: int) -> int:

@@ -21,6 +21,9 @@ RECORDER = "recorder"
 PERTURBATION_DEPTH = 1000
 """Number of pushes requested in flight that are kept for late joiners."""
 
+PROGRESS_DEPTH = 1000
+"""Number of reports of a process of birds that are kept for a new clock: the last of each bird."""
+
 STAGE_DEPTH = 128
 """Number of stages that a bird keeps for slow subscribers. Neighbours need 2, a recorder more."""
 
@@ -122,7 +125,8 @@ def depth(topic: str, configuration: FlockConfiguration) -> int:
     kind = topic.rpartition("/")[2]
     if kind in ("state", "memory", "ages", "clock"):
         return 2 * rows_ahead(configuration)
-    return {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH}.get(kind, 1)
+    deep = {"stage": STAGE_DEPTH, "perturbation": PERTURBATION_DEPTH, "progress": PROGRESS_DEPTH}
+    return deep.get(kind, 1)
 
 
 def fetch_period(configuration: FlockConfiguration) -> float:

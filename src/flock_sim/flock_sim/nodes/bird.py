@@ -37,9 +37,6 @@ from flock_sim.ros.rejection_warnings import RejectionWarnings
 if TYPE_CHECKING:
     from flock_sim.protocol.free_bird import FreeBird
 
-REPORTS = latched(1000)
-"""QoS of the reports to the clock. One publisher sends those of all birds of a process."""
-
 LOOK_EVERY = 1.0
 """Time between looks at a wing in flight, in s. No bird sends one then, but others may, and their
 messages must not fill the queue."""
@@ -91,7 +88,9 @@ class BirdNode(DrainedNode):
             for channel, (kind, topic) in outlets.items()
         }
         if first is None:
-            self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, REPORTS)
+            # One publisher sends the reports of all birds of a process to the clock.
+            depth = topics.depth(topics.PROGRESS_TOPIC, configuration)
+            self.reports = self.create_publisher(Progress, topics.PROGRESS_TOPIC, latched(depth))
             self._outlets[Channel.PROGRESS] = self.reports
             self.told: set[str] = set()
         else:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.messages.epochs import ahead, following, out_of_reach
+from flock_sim.messages.epochs import ahead, beyond, following, out_of_reach
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import FOREIGN, REPEATED, STALE
 from flock_sim.messages.topics import RECORDER, bird_name, steps_ahead
@@ -75,7 +75,7 @@ class Timekeeper:
         """Begin a run of `configuration` under `run_id`; `record`: the run has a recorder.
 
         `epoch` is the first one. A clock that replaces another one learns of later epochs from the
-        other nodes, and begins a later one. `factor` is the real-time factor of a free flight, in
+        other nodes, and goes `beyond` them. `factor` is the real-time factor of a free flight, in
         which the window holds no bird. The time of every `clock_every`th step is published besides
         that of recorded steps; 0: of no other.
         """
@@ -88,7 +88,7 @@ class Timekeeper:
         """Whether a free flight would need a rewind, which it does not support."""
         self._terms = handshake(configuration, factor)
         self.run_id = run_id
-        self.epoch = epoch
+        self.epoch = self._first_epoch = epoch
         self.end = configuration.steps
         """The last step: of the configuration, or the step at which the run was stopped."""
         self.moves = 0
@@ -216,8 +216,9 @@ class Timekeeper:
         if ends and self._nodes.doubts(progress):
             return self._ignore(REPEATED)
         self._nodes.know(who, incarnation)
-        if came_back or later > 0:
-            self.epoch = progress.epoch if later > 0 else self.epoch
+        if later > 0:
+            return self._rewind_to(beyond(progress.epoch, self._first_epoch))
+        if came_back:
             return self.rewind()
         if later < 0:
             return self._ignore(STALE)
@@ -241,9 +242,12 @@ class Timekeeper:
 
     def rewind(self) -> list[Message]:
         """Rewind all birds to the last step on disk, under a new epoch."""
+        return self._rewind_to(following(self.epoch))
+
+    def _rewind_to(self, epoch: int) -> list[Message]:
         self.lost = self.free and self._window.granted > 0
         self.rewinds.rewind(self.step if self.begun else 0)
-        self.epoch = following(self.epoch)
+        self.epoch = epoch
         self.moves += 1
         self._begin_epoch()
         return self.first_messages
