@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from random import Random
@@ -105,15 +106,13 @@ CASES = {
 }
 
 
+@cache  # and not for all kinds at once: each worker imports this module
 def strangers(kind: type[Message]) -> list[Message]:
     """Return well-formed random messages."""
     found: list[Message] = []
     quietly = settings(max_examples=100, database=None, derandomize=True, deadline=None)
     quietly(given(MESSAGES[kind])(lambda message: found.append(message)))()
     return found
-
-
-STRANGERS = {name: strangers(kind) for name, kind in KINDS.items()}
 
 
 def target_of(flight: WiredFlight, who: str, held: ExitStack, context: Context) -> Node:
@@ -148,7 +147,7 @@ class Fuzz:
         self._random = random
         self._hear = inputs(node)
         self._mutators = {
-            topic: Mutator(random, KINDS[kind], run_of(KINDS[kind], run_id), STRANGERS[kind])
+            topic: Mutator(random, KINDS[kind], run_of(KINDS[kind], run_id), strangers(KINDS[kind]))
             for topic, kind in types_of(node).items()
         }
         self._topics = sorted(self._mutators)
