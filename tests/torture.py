@@ -5,8 +5,9 @@
 
 Every other flight is one of nodes by hand (clock, recorder and each bird a process, each started
 again at once), the others are `fly`, whose workers are killed, or all of it, and resumed. Moments
-are drawn so that some kills meet the start, some a rewind, some the end. At least one kill of each
-flight meets birds that fly. Each bag must equal the reference's. Prints what it came to.
+are drawn so that some kills meet the start, some a rewind, some the end. Where a flight has two
+kills or more, one meets birds that fly. Each bag must equal the reference's. Prints what it came
+to.
 """
 
 from __future__ import annotations
@@ -86,15 +87,17 @@ class Watch:
         now = time.monotonic()
         if size <= self._size:
             return False
+        self._size = size
         if self._grown is not None:
             self.longest = max(self.longest, now - self._grown)
         elif last_step(self._bag) <= 0:
             return False
-        self._size, self._grown = size, now
+        self._grown = now
         return True
 
 
 AT_NEW_ROWS = (math.inf, math.inf)
+"""The moment of a kill that waits for new rows on disk."""
 
 
 class Executioner:
@@ -105,7 +108,6 @@ class Executioner:
     """
 
     MERCY = 3
-    FIRST = (0.0, 4.0)
 
     def __init__(self, random: Random, budget: int, pace: float) -> None:
         """Kill `budget` times; moments are drawn as for flights `pace` times as long."""
@@ -113,7 +115,7 @@ class Executioner:
         self.left = budget
         self._pace = pace
         self._hits: dict[str, int] = {}
-        self._due = self._soon(*self.FIRST)
+        self._due = self._soon(0.0, 4.0)
         self._second = True
 
     def _soon(self, low: float, high: float) -> float:

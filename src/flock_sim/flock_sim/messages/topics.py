@@ -22,7 +22,7 @@ PERTURBATION_DEPTH = 1000
 """Number of pushes requested in flight that are kept for late joiners."""
 
 PROGRESS_DEPTH = 1000
-"""Number of reports of a process of birds that are kept for a new clock: the last of each bird."""
+"""Number of reports that a process of birds keeps for a new clock, for all of its birds."""
 
 STAGE_DEPTH = 128
 """Number of stages that a bird keeps for slow subscribers. Neighbours need 2, a recorder more."""
