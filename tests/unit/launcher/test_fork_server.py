@@ -19,6 +19,7 @@ from flock_sim.console.signals import SUPERVISED
 from flock_sim.launcher.fork_server import Child, ForkServer
 from flock_sim.launcher.forkable import CannotFork, check_forkable
 from flock_sim.launcher.forked_program import Program
+from support.python_process import python
 from support.terminal import lives, parent
 
 Start = Callable[..., Child]
@@ -268,6 +269,20 @@ def test_what_a_flight_preloads_neither_starts_threads_nor_initialises_ros() -> 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_log_message_of_a_forked_process_resolves_the_paths_of_few_modules() -> None:
+    code = (
+        "import inspect\n"
+        "from rclpy.logging import get_logger\n"
+        "from flock_sim.launcher.preload import preload\n"
+        "preload()\n"
+        "resolved, original = [], inspect.getabsfile\n"
+        "inspect.getabsfile = lambda *of: resolved.append(of) or original(*of)\n"
+        "assert get_logger('a').info('b')\n"
+        "print(len(resolved))\n"
+    )
+    assert 0 < int(python(code)) < 20
 
 
 def test_a_server_whose_preloading_starts_a_thread_refuses_to_fork(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import inspect
 
 from flock_sim.console.signals import ending_deferred
 from flock_sim.launcher.fork_server import ForkServer
@@ -19,6 +20,7 @@ def preload(links: bool = True) -> None:
     import rcl_interfaces.msg
     import rclpy
     import rosgraph_msgs.msg
+    from rclpy.type_description_service import GetTypeDescription
     from rclpy.type_support import check_for_type_support
 
     import flock_interfaces.msg
@@ -37,9 +39,11 @@ def preload(links: bool = True) -> None:
         diagnostic_msgs.msg.DiagnosticArray,
         rcl_interfaces.msg.ParameterEvent,
         rosgraph_msgs.msg.Clock,
+        GetTypeDescription,  # a service of each node
     ]
     for kind in kinds:
         check_for_type_support(kind)
+    inspect.stack()  # as rclpy does to log; the first time, it resolves the paths of all modules
     gc.collect()
     gc.freeze()  # a collection in a child then does not copy these pages
 
