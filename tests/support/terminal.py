@@ -34,6 +34,9 @@ DEADLINE = 300.0
 
 POLL = 0.02
 
+FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
+"""Time between looks at the processes of a terminal: at first, and at most, in s."""
+
 MARK = "FLOCK_TEST_MARK"
 
 STREAMS = ("stdin", "stdout", "stderr")
@@ -99,7 +102,7 @@ class Job:
         while not (value := condition()):
             assert self.running, f"ended with {self.process.returncode}: {self.stderr}"
             assert time.monotonic() < deadline, f"not within {within:g} s: {self.stderr}"
-            self._terminal.look()
+            self._terminal.look_sometimes()
             time.sleep(POLL)
         return value
 
@@ -146,7 +149,7 @@ class Job:
         deadline = time.monotonic() + within
         while self.running:
             assert time.monotonic() < deadline, f"still runs after {within:g} s: {self.stderr}"
-            self._terminal.look()
+            self._terminal.look_sometimes()
             time.sleep(POLL)
         return Done(self.process.returncode, self.stdout, self.stderr)
 
@@ -174,7 +177,7 @@ class Terminal:
         self.environment.pop("FLOCK_SUPERVISED", None)
         self._sessions: set[int] = set()
         self._shared: set[str] = set()
-        self._looked = 0.0
+        self._next_look, self._pause = 0.0, FIRST_PAUSE
         self._count = 0
 
     def start(
@@ -230,6 +233,7 @@ class Terminal:
     def _streams(self, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
         """Give the path of a new log, without its suffix, and its streams."""
         self._count += 1
+        self._next_look, self._pause = 0.0, FIRST_PAUSE
         log = self._logs / f"{self._count}-{name}"
         with (
             open(os.devnull, "rb") as nothing,
@@ -261,21 +265,26 @@ class Terminal:
             with suppress(OSError):
                 session = os.getsid(int(entry.name))
                 remaining |= {session, int(entry.name)}
-                if lives(int(entry.name)) and (
-                    session in self._sessions
-                    or mark in (entry / "environ").read_bytes().split(b"\0")
-                ):
+                ours = session in self._sessions or mark in (entry / "environ").read_bytes()
+                if ours and lives(int(entry.name)):
                     found.append(int(entry.name))
         self._sessions -= known - remaining
         return found
 
     def look(self) -> None:
-        """Register the shared memory of the processes, every 0.2 s at most: Flock uses none."""
-        if time.monotonic() - self._looked < 0.2:
-            return
+        """Register the shared memory of the processes: Flock uses none."""
         for pid in self.processes():
             self._shared |= shared_memory(pid)
-        self._looked = time.monotonic()
+
+    def look_sometimes(self) -> None:
+        """Look, if it is time to. A look takes 30 ms, and a process keeps what it has mapped.
+
+        So looks become rarer until another tool is started.
+        """
+        if time.monotonic() >= self._next_look:
+            self.look()
+            self._next_look = time.monotonic() + self._pause
+            self._pause = min(2.0 * self._pause, LONGEST_PAUSE)
 
     def left_behind(self) -> list[str]:
         """Return the leftovers of tools: processes, shared memory, temporary files."""
