@@ -55,7 +55,7 @@ class Visitor:
         deadline = time.monotonic() + DEADLINE
         while not (value := condition()):
             assert time.monotonic() < deadline, self._what_is_known()
-            self._terminal.look()
+            self._terminal.look_sometimes()
             self._executor.spin_once(timeout_sec=0.05)
         return value
 
@@ -77,21 +77,24 @@ class Visitor:
         """Have the clock of `jobs` stop the flight. All jobs must end without an error.
 
         The request is repeated until it is answered: a killed clock stays discovered for a while,
-        and requests to it are lost.
+        and requests to it are lost. A clock that has not yet discovered this node stops the flight
+        without an answer: ROS drops it after 0.1 s.
         """
         client = self.node.create_client(Trigger, "/flock/clock/stop")
         asked, futures = 0.0, []
         deadline = time.monotonic() + DEADLINE
-        while not any(future.done() for future in futures):
+        while any(job.running for job in jobs):
             assert time.monotonic() < deadline, self._what_is_known()
-            if time.monotonic() > asked + ASK_AGAIN:
+            answered = any(future.done() for future in futures)
+            if not answered and time.monotonic() > asked + ASK_AGAIN:
                 asked = time.monotonic()
                 futures.append(client.call_async(Trigger.Request()))
+            self._terminal.look_sometimes()
             self._executor.spin_once(timeout_sec=0.05)
-        assert next(future for future in futures if future.done()).result().success
-        self.until(lambda: not any(job.running for job in jobs))
         for job in jobs:
             assert job.wait().status == 0, job.stderr
+        assert futures, "the flight was over before it was stopped"
+        assert all(future.result().success for future in futures if future.done())
 
     def stop_player(self, job: Job) -> Done:
         """Stop the player of `job`, and return what it has printed.
