@@ -55,7 +55,13 @@ def prints(said: str, shown: str) -> bool:
 
 @pytest.fixture
 def tree(terminal: Terminal) -> Terminal:
-    """A terminal in a tree that nobody has flown in yet."""
+    """A terminal in a tree that nobody has flown in yet.
+
+    Matplotlib has its list of fonts: it prints a line if that takes it longer than 5 s.
+    """
+    import matplotlib.font_manager  # makes that list
+
+    terminal.environment["MPLCONFIGDIR"] = matplotlib.get_cachedir()
     for name in ("flock", "Makefile", "tools"):
         (terminal.directory / name).symlink_to(ROOT / name)
     for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # of a `make test` that runs us
