@@ -4,14 +4,26 @@
 from __future__ import annotations
 
 from unittest import mock
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+_known: WeakKeyDictionary[Figure, list[Text]] = WeakKeyDictionary()
+
 
 def texts(figure: Figure) -> list[Text]:
-    """What is written in a figure: of ticks, only those that are shown."""
+    """What is written in a figure: of ticks, only those that are shown.
+
+    To draw a figure takes half a second, so it is drawn again only if it has changed.
+    """
+    if figure.stale or figure not in _known:
+        _known[figure] = _texts_drawn(figure)
+    return _known[figure]
+
+
+def _texts_drawn(figure: Figure) -> list[Text]:
     drawn: list[Text] = []
     draw = Text.draw
 
