@@ -488,6 +488,7 @@ def test_markup_in_what_was_recorded_is_shown_as_text(opened: Opener) -> None:
     assert page.title().startswith("Flock report: ")
 
 
+@pytest.mark.slow
 def test_long_runs_fit_in_one_file(
     browser: Browser, pages: dict[str, Path], tmp_path: Path
 ) -> None:

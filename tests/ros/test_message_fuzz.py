@@ -227,7 +227,9 @@ def fly(
     return Flown(flight.sent, bag_content(bag), shown), fuzz.total
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow if case == "view" else ()) for case in CASES]
+)
 def test_no_invalid_message_has_an_effect(context: Context, tmp_path: Path, case: str) -> None:
     who, flock = CASES[case]
     random = Random(case)

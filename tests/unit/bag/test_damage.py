@@ -86,6 +86,7 @@ def test_a_file_cut_off_at_random_gives_every_whole_chunk_or_is_refused(tmp_path
             BagReader(path)
 
 
+@pytest.mark.slow
 def test_two_thousand_truncations_of_a_flight_never_give_what_was_not_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,7 @@ def cut_copy(whole: Path, to: Path, size: int) -> Path:
     return to
 
 
+@pytest.mark.slow
 def test_wherever_a_bag_is_cut_off_it_is_gone_on_with_behind_its_last_whole_chunk(
     tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

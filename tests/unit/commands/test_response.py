@@ -117,6 +117,7 @@ def test_a_bird_alone(capsys: Capture) -> None:
     assert found["gap_std"] == [[]]
 
 
+@pytest.mark.slow
 def test_a_picture_of_each_kind(tmp_path: Path, capsys: Capture) -> None:
     kinds = {
         "calm.svg": ("--birds", "5"),

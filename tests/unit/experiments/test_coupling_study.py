@@ -69,6 +69,7 @@ def test_flocks_that_settle_between_those_that_hold_end_no_interval() -> None:
     assert coupling_study._around_one(ratios, words) == (0.85, 0.9, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_the_study_writes_its_figure_and_its_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -352,6 +352,7 @@ for text in sys.argv[2:]:
 """
 
 
+@pytest.mark.slow
 def test_a_law_from_disk_is_its_own_beside_one_that_was_compiled_before(tmp_path: Path) -> None:
     """numba numbers functions in each process, and the code on disk has another one's numbers."""
     (tmp_path / "laws.py").write_text("def own(bird): return 1e-3 * bird.mass", encoding="utf-8")

@@ -48,6 +48,7 @@ def angles() -> np.ndarray:
     return np.unique(found[(found >= 0.0) & (found <= 1.0)])
 
 
+@pytest.mark.slow
 def test_the_error_is_below_the_promised_one() -> None:
     turns = angles()
     assert len(turns) > 3 * POINTS

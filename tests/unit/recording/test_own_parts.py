@@ -106,6 +106,7 @@ def test_a_flight_of_own_birds_is_not_resumed_with_others(tmp_path: Path) -> Non
         pass
 
 
+@pytest.mark.slow
 def test_a_flight_with_a_registered_model_is_repeated_where_it_is_registered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,6 +61,7 @@ def ask(**environment: str) -> Answer:
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the hidden features are those of x86")
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc can hide features")
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (numpy_core.__cpu_features__.get("FMA3") and numpy_core.__cpu_features__.get("AVX2")),
     reason="this processor has no FMA and AVX2 that could be hidden",
