@@ -37,17 +37,27 @@ FAREWELL = 10.0
 """Longest wait for listeners to receive the end of the run, in s."""
 
 
+RIVAL_SILENCE = 3 * REPEAT_EVERY
+"""Time without a grant of another clock after which there is none, in s."""
+
+
 class Rival:
     """Whether another clock leads the run. One grant of it is not enough: it repeats them."""
 
     def __init__(self) -> None:
         self.leads = False
         self._heard_at = -math.inf
+        self._expected_from = math.inf
 
     @property
     def heard(self) -> bool:
         """Whether another clock's grant arrived recently."""
-        return time.monotonic() - self._heard_at < 3 * REPEAT_EVERY
+        return time.monotonic() - self._heard_at < RIVAL_SILENCE
+
+    def missed(self) -> bool:
+        """Whether no grant of another clock has arrived since a first call long enough ago."""
+        self._expected_from = min(self._expected_from, time.monotonic())
+        return time.monotonic() - max(self._expected_from, self._heard_at) >= RIVAL_SILENCE
 
     def hear(self) -> None:
         """Note a grant of another clock that is ahead of this one's."""
@@ -108,7 +118,7 @@ class ClockNode(FlockNode):
                 f"another clock controls run {self.keeper.run_id}: end it first, or give this one "
                 "another run_id"
             )
-        self._led |= self.keeper.begun and not self._rival.heard
+        self._led |= self.keeper.begun and self._leads()
         self._log()
         self._rejection_warnings.tell()
         self._diagnostics.tell(self._status)
@@ -163,6 +173,16 @@ class ClockNode(FlockNode):
         later = ahead(grant.epoch, ours.epoch)
         if later > 0 or (later == 0 and grant.step > ours.step):
             self._rival.hear()
+
+    def _leads(self) -> bool:
+        """Whether this clock leads the flock that flies by its grants.
+
+        A flock that has flown before had another clock. If that one still runs, its grants may
+        arrive after the reports of the flock, by which this clock has begun.
+        """
+        began = self.keeper.began
+        begun_here = began is not None and began <= 0 and not self.keeper.rewinds.count
+        return not self._rival.heard if begun_here else self._rival.missed()
 
     def _send(self, outgoing: Iterable[Message]) -> None:
         for message in outgoing:
