@@ -341,7 +341,7 @@ from flock_sim.reference.integrator import Reference
 
 elsewhere, paths = Path(sys.argv[1]), KernelCache._paths
 KernelCache._paths = lambda self, key: (
-    elsewhere / path.name if "._loop." in path.name else path
+    elsewhere / path.name if "_state." in path.name else path
     for path in paths(self, key)
 )
 for text in sys.argv[2:]:

@@ -18,10 +18,11 @@ import numpy as np
 from flock_sim.errors import FlockError
 from flock_sim.forcing import frame
 from flock_sim.forcing.law import GIVEN, Bird, Law, Neighbours, Signature, signature_of
-from flock_sim.physics.compile import ADDRESS, anew, checked, kernel, plain_callees
+from flock_sim.physics.compile import anew_for_kernels, kernel, plain_callees
 from flock_sim.physics.compiler import numba
 from flock_sim.physics.dynamics import canonical
 from flock_sim.physics.kernel_cache import PACKAGE
+from flock_sim.physics.native_call import ADDRESS, address_of, call_at
 from flock_sim.physics.runge_kutta import NODES, STAGES
 
 UnsupportedBytecodeError = numba.core.errors.UnsupportedBytecodeError
@@ -35,8 +36,8 @@ DIVERGED = 1e100
 WITH_STATE = "(force, (rate of state[0], ...))"
 """What a law with a state returns, in words."""
 
-_LOOP: Any = numba.types.int64(ADDRESS, ADDRESS, ADDRESS, numba.types.float64)
-"""The type of a loop: (address of the words, term, tick, dt) -> 0."""
+_LOOP: Any = numba.types.none(ADDRESS, ADDRESS, ADDRESS, numba.types.float64)
+"""The type of a loop: (address of the words, term, tick, dt) -> None."""
 
 matrix, numbers, vector = frame.matrix, frame.numbers, frame.vector
 
@@ -55,15 +56,13 @@ class CompiledLaw:
 
 @numba.extending.intrinsic
 def call(_: Any, address: Any, words: Any, term: Any, tick: Any, dt: Any) -> Any:
-    """Call the loop of a law by its address."""
+    """Call the loop of a law by its address; return whether the law has raised no exception."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        ir = numba.core.cgutils.ir
-        types = [context.get_value_type(kind) for kind in signature.args[1:]]
-        function = ir.FunctionType(context.get_value_type(signature.return_type), types)
-        return builder.call(builder.inttoptr(arguments[0], function.as_pointer()), arguments[1:])
+        status, _ = call_at(context, builder, arguments[0], _LOOP, arguments[1:])
+        return status.is_ok
 
-    return _LOOP.return_type(ADDRESS, *_LOOP.args), generate
+    return numba.types.boolean(ADDRESS, *_LOOP.args), generate
 
 
 @cache
@@ -71,20 +70,16 @@ def compiled_law(law: Law) -> CompiledLaw:
     """Compile a law. Raises FlockError, of one line, if it can't be compiled or is no law."""
     signature = signature_of(law)
     _check_repeatable(law)
-    plain = checked(law)
+    plain = anew_for_kernels(law, boundscheck=True)  # of arrays: IndexError
     states = _states_of(_result_of(plain, signature))
     if not states and {"state", "step_state"} & {*signature.given}:
         raise FlockError(f"it takes a state and returns no rates of it: must return {WITH_STATE}")
     ours = law.__module__.startswith(f"{PACKAGE.name}.")
     adapted = _adapted(plain, signature, states)
-    members = anew(_with_state if states else _without_state, _law=adapted)
-    loop: Any = _copy(_loop, _members=members)
+    loop = _copy(_with_state if states else _without_state, _law=adapted)
     loop.__qualname__ += f".{law.__module__}.{law.__qualname__}"
-    compiled: Any = (kernel if ours else anew)(loop)
-    compiled.compile(_LOOP.args)
-    result = compiled.get_compile_result(_LOOP)
-    address = result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
-    return CompiledLaw(int(address), states, compiled)
+    compiled = (kernel if ours else anew_for_kernels)(loop)
+    return CompiledLaw(address_of(compiled, _LOOP.args), states, compiled)
 
 
 def _adapted(law: Law, signature: Signature, states: int) -> Law:
@@ -209,19 +204,6 @@ def _law(*arguments: Any) -> Any:
     raise NotImplementedError
 
 
-def _members(address: int, term: int, tick: int, dt: float) -> None:
-    """Stand for one of the two functions below, compiled with a law."""
-
-
-def _loop(address: int, term: int, tick: int, dt: float) -> int:
-    """Call a law for each member. A longer body of the `try` takes much longer to compile."""
-    try:
-        _members(address, term, tick, dt)
-    except Exception:
-        _note_exception(address, term)
-    return 0
-
-
 def _without_state(address: int, term: int, tick: int, dt: float) -> None:
     """Add the force of a law without state to that on the bird, in each member."""
     words, own, now, number, lateral, near, noise, force, parameters = _arrays(address, term)
@@ -287,12 +269,6 @@ def _states(address: int, term: int, tick: int) -> tuple[Any, ...]:
         matrix(words[frame.START], rows, members)[first:last],
         matrix(words[frame.RATE], rows, members)[first:last],
     )
-
-
-@kernel
-def _note_exception(address: int, term: int) -> None:
-    words = numbers(address, frame.FIRST_TERM)
-    words[frame.FAULT], words[frame.FAULT_TERM] = frame.RAISED, term
 
 
 @kernel

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.physics.compile import inlined, pointer
+from flock_sim.physics.compile import inlined
 from flock_sim.physics.compiler import numba
+from flock_sim.physics.native_call import pointer
 
 # Numbers of the bird, of the leader, of members, neighbours, state numbers and terms.
 BIRD, LEADER, MEMBERS, NEIGHBOURS, STATES, TERMS = range(6)

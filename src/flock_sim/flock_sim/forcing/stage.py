@@ -10,12 +10,14 @@ from flock_sim.forcing.frame import (
     BIRD,
     EACH,
     FAULT,
+    FAULT_TERM,
     FIRST_TERM,
     FORCE,
     FUNCTION,
     MEMBERS,
     NOISE,
     ORDINAL,
+    RAISED,
     RATE,
     SEEDS,
     SLOPES,
@@ -61,7 +63,8 @@ def compute_force(words: IntArray, tick: int, dt: float) -> bool:
         at = FIRST_TERM + EACH * term
         if stage == 0 and words[at + SEEDS]:
             _draw(words, at, tick // STAGES)
-        call(words[at + FUNCTION], words.ctypes.data, term, tick, dt)
+        if not call(words[at + FUNCTION], words.ctypes.data, term, tick, dt):
+            words[FAULT], words[FAULT_TERM] = RAISED, term
     if rows:
         now = words[STATE] + 8 * rows * members * (1 - (tick & 1))
         _integrate(

@@ -12,11 +12,11 @@ from flock_sim.physics.kernel_cache import PACKAGE, KernelCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-RULES = {"error_model": "numpy", "fastmath": False, "nogil": True}
-"""Options of numba for all kernels."""
+RULES = {"error_model": "numpy", "fastmath": False, "nogil": True, "no_cfunc_wrapper": True}
+"""Options of numba for all kernels. Nothing calls them by the conventions of C."""
 
-ADDRESS: Any = numba.types.intp
-"""The type of an address in compiled code."""
+INNER = {"no_cpython_wrapper": True}
+"""Options of functions that only compiled code calls."""
 
 _CALLABLE: set[FunctionType] = set()
 """The plain functions that kernels can call."""
@@ -39,16 +39,6 @@ def inlined(function: Function) -> Function:
     A call would prevent the compiler from vectorising the loop.
     """
     return _compiled(function, forceinline=True)
-
-
-@numba.extending.intrinsic
-def pointer(_: Any, address: Any) -> Any:
-    """Convert a number to an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], numba.core.cgutils.voidptr_t)
-
-    return numba.types.voidptr(address), generate
 
 
 def _compiled(function: Function, **options: bool) -> Function:
@@ -75,7 +65,7 @@ def _let_kernels_call(functions: Iterable[FunctionType], **options: bool) -> Non
         if function not in _CALLABLE:
             _CALLABLE.add(function)
             _let_kernels_call(plain_callees(function), **options)
-            own = {} if _is_ours(function) else options
+            own = INNER if _is_ours(function) else INNER | options
             numba.extending.register_jitable(**RULES, **own, forceinline=True)(function)
 
 
@@ -88,12 +78,9 @@ def anew(function: Function, **callees: Callable[..., object]) -> Function:
     return _anew(function, callees)
 
 
-def checked(function: Function) -> Function:
-    """Compile a function as `anew` does. An index that is out of range raises IndexError.
-
-    That also holds for the functions of its own module that it calls.
-    """
-    return _anew(function, {}, boundscheck=True)
+def anew_for_kernels(function: Function, **options: bool) -> Function:
+    """Compile a function as `anew` does, with these options; only compiled code can call it."""
+    return _anew(function, {}, **INNER, **options)
 
 
 def _anew(

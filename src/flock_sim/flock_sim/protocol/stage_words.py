@@ -24,8 +24,9 @@ from flock_sim.messages.stage_layout import (
     WORD,
 )
 from flock_sim.physics.arrays import IntArray
-from flock_sim.physics.compile import ADDRESS, kernel, pointer
+from flock_sim.physics.compile import kernel
 from flock_sim.physics.compiler import numba
+from flock_sim.physics.native_call import ADDRESS, pointer
 from flock_sim.physics.runge_kutta import STAGES
 
 # The current tick; the tick from which on Python does more than exchange stages; the ticks of this

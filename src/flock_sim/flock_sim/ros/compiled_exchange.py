@@ -22,8 +22,9 @@ from rclpy.subscription import Subscription
 from flock_sim.forcing.frame import FAULT
 from flock_sim.messages.stage_layout import WORD
 from flock_sim.physics.arrays import IntArray
-from flock_sim.physics.compile import ADDRESS, kernel, pointer
+from flock_sim.physics.compile import kernel
 from flock_sim.physics.compiler import numba
+from flock_sim.physics.native_call import ADDRESS, pointer
 from flock_sim.physics.stage_kernels import ROWS, elements
 from flock_sim.protocol.bird import BirdProtocol
 from flock_sim.protocol.bird_kernel import OWN_ROWS, WORK_ROWS, feel_and_move
