@@ -82,7 +82,7 @@ def fly(
     flown = FlockConfiguration.given({**known, **parameters})
     topics.steps_ahead(flown, False)  # raises if the flight can't be recorded
     if flown.links and flown.birds > 1:
-        warm_links(flown)  # compiles now, so that no bird makes the others wait
+        warm_links()  # now, so that no bird makes the others wait
     with tempfile.TemporaryDirectory(prefix="flock-") as temporary:
         bag = Path(temporary) / "flight" if output is None else Path(output)
         with own_output(bag, force) as owned:

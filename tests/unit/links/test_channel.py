@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from flock_sim.links.channel import hear
+from flock_sim.links.compiled_model import codes
 from flock_sim.links.counter_rng import FATE, NOISE, gaussians, uniforms
-from flock_sim.links.link_table import LinkTable
+from flock_sim.links.link_table import MODEL, LinkTable
 from flock_sim.physics.runge_kutta import STAGES
 
 SPEED = 1.25
@@ -27,6 +28,7 @@ class Source:
         link_table = LinkTable([link], birds=2, coupling="nearest")
         self.members = link_table.members
         self.plan = link_table.plan([2], self.members)
+        self.models = codes(self.plan.links[:, MODEL])
         self.memory = self.plan.memory()
         self.dt = dt
         self.next = 0
@@ -50,6 +52,7 @@ class Source:
         hear(
             STAGES * step + stage,
             self.dt,
+            self.models,
             self.plan.links[0],
             self.plan.faults[0],
             np.full(self.members, LATERAL),

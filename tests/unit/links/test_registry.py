@@ -7,16 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from numba.core.event import install_recorder
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError
-from flock_sim.launcher.precompile import warm_links
 from flock_sim.links import registry
-from flock_sim.links.channel import hear, hearing
 from flock_sim.links.models import LinkModel
 from flock_sim.links.registry import register
+from flock_sim.messages.stage_layout import stage_words
 from flock_sim.messages.types import Checkpoint, Grant, State, Wing
 from flock_sim.protocol.bird import BirdProtocol
+from flock_sim.protocol.latest_values import LatestValues
+from flock_sim.protocol.link_receiver import LinkReceiver
 from flock_sim.protocol.session import Channel
 from flock_sim.reference.integrator import Reference
 
@@ -52,14 +54,46 @@ def test_models_that_do_what_built_in_ones_do_make_the_same_flight_to_the_bit():
     assert not np.array_equal(mine, flown(f"frozen:{FAULTS}", "3->2=exact"))
 
 
-def test_a_registered_model_is_compiled_before_a_flight():
-    """A bird that compiled in flight would keep the others waiting for seconds."""
-    register(LinkModel("slow", frozen))
-    flock = FlockConfiguration(birds=5, t_max=100.0, links=("slow:interval=5",))
-    listening = BirdProtocol(3, flock, run_id=1)._motion._receiver._listen
-    assert not listening.signatures
-    warm_links(flock)
-    assert listening.signatures
+def test_in_flight_nothing_is_compiled_for_a_registered_model():
+    """A bird that compiled in flight would keep the others waiting."""
+    flown("hold:interval=5")
+    register(LinkModel("calm", frozen))
+    links = ("calm:interval=5",)
+    flock = FlockConfiguration(birds=3, t_max=10.0, links=links)
+    with install_recorder("numba:compile") as compiled:
+        flight = Reference(flock)
+        receiver = LinkReceiver(2, flock)
+        latest = LatestValues(2, (1, 3), flock)
+    assert len(compiled.buffer) > 0
+    with install_recorder("numba:compile") as compiled:
+        flight.advance(10)
+        stages, mine = np.ones((2, stage_words(1))), np.ones((2, stage_words(1)))
+        receiver.listen(0, flight.flock.interactions(np.array([[1, 0], [1, 2]])), stages, mine)
+        latest.known(0, 0)
+    assert not compiled.buffer
+
+
+def test_what_a_registered_model_raises_ends_the_flight():
+    def failing(age, position, speed, circulation, rate):
+        if age > 3.0:
+            raise ValueError("too old")
+        return position, circulation
+
+    register(LinkModel("failing", failing))
+    flight = Reference(
+        FlockConfiguration(birds=2, dt=1.0, t_max=9.0, links=("failing:interval=9",))
+    )
+    flight.advance(3)
+    with pytest.raises(ValueError, match="too old"):
+        flight.advance(1)
+
+
+def test_a_model_may_return_numbers_of_single_precision():
+    def rounded(age, position, speed, circulation, rate):
+        return np.float32(position), circulation
+
+    register(LinkModel("rounded", rounded))
+    assert flown("rounded:interval=2").tobytes() != flown("hold:interval=2").tobytes()
 
 
 def test_a_bird_asks_the_registered_model_too():
@@ -89,13 +123,6 @@ def test_a_bird_asks_the_registered_model_too():
     ]
     assert list(speeds[0]) == [0, 5, 10, 15]  # at step 20 the other has something to say again
     assert speeds[0].items() <= speeds[2].items()
-
-
-def test_without_any_the_kernels_are_those_on_disk():
-    assert hearing() is hear
-    register(LinkModel("frozen", frozen))
-    assert hearing() is not hear
-    assert hearing() is hearing()
 
 
 @pytest.mark.parametrize("name", ["hold", "Fading", "a:b", "", "3->4", "a b"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from scipy.integrate import solve_ivp
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.errors import FlockError, RunFailed
+from flock_sim.links.models import LinkModel
+from flock_sim.links.registry import MODELS, register
 from flock_sim.messages.epochs import REACH
 from flock_sim.messages.handshake import handshake
 from flock_sim.messages.rejection import AGAIN, FOREIGN, IMPOSSIBLE, MISSHAPEN, REPEATED, STALE
@@ -60,7 +63,22 @@ def of(channel: Channel, out: list[Outgoing]) -> list[bytes]:
     return [data for name, data in out if name is channel]
 
 
-@pytest.mark.parametrize("link", ["hold", "linear"])
+@pytest.fixture
+def own_model() -> Iterator[None]:
+    """Register a link model in whose flights each bird feels half of the wakes."""
+
+    def halved(
+        age: float, position: float, speed: float, circulation: float, rate: float
+    ) -> tuple[float, float]:
+        return position, 0.5 * circulation
+
+    register(LinkModel("halved", halved))
+    yield
+    MODELS.pop()
+
+
+@pytest.mark.usefixtures("own_model")
+@pytest.mark.parametrize("link", ["hold", "linear", "halved"])
 @pytest.mark.parametrize("coupling", ["nearest", "all"])
 def test_on_fresh_news_it_flies_as_the_reference_does_to_the_bit(link: str, coupling: str) -> None:
     flown = FlockConfiguration(

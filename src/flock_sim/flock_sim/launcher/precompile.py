@@ -54,17 +54,14 @@ def warm_bird() -> None:
     bird.receive_stage(Stage(1, 0, 1, 2, 0, one, one, one).encode())
 
 
-def warm_links(configuration: FlockConfiguration | None = None) -> None:
-    """Do the same with the kernels of links that are not plain, and of a free flight.
-
-    Registered link models are compiled for the links of `configuration`.
-    """
+def warm_links() -> None:
+    """Do the same with the kernels of links that are not plain, and of a free flight."""
     from flock_sim.messages.types import Checkpoint, Grant, Wing
     from flock_sim.protocol.bird import BirdProtocol
     from flock_sim.protocol.latest_values import LatestValues
     from flock_sim.protocol.session import Channel
 
-    configuration = configuration or FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
+    configuration = FlockConfiguration(birds=2, t_max=2.0, links=("hold",))
     end, dt = configuration.steps, configuration.dt
     birds = [BirdProtocol(bird, configuration, run_id=1) for bird in (1, 2)]
     said = []

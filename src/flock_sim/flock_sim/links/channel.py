@@ -10,12 +10,10 @@ So the result does not depend on when and in which order the real messages trave
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 
-from flock_sim.links.choice import choice, perceive
+from flock_sim.links.compiled_model import perceive
 from flock_sim.links.counter_rng import FATE, NOISE, gaussians, uniforms
 from flock_sim.links.keys import (
     DELAY,
@@ -30,8 +28,6 @@ from flock_sim.links.keys import (
     TIMEOUT,
 )
 from flock_sim.links.link_table import AT, INTERVAL, MODEL, ROWS, SLOTS, SOURCE, TARGET
-from flock_sim.links.models import LinkModel
-from flock_sim.links.registry import BUILT_IN, MODELS
 from flock_sim.links.settings import (
     ARRIVAL,
     CIRCULATION,
@@ -42,18 +38,16 @@ from flock_sim.links.settings import (
     SPEED,
 )
 from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.compile import kernel
 from flock_sim.physics.dynamics import canonical
 from flock_sim.physics.runge_kutta import NODES, STAGES
-
-Hear = Callable[..., None]
-"""The signature of `hear`."""
 
 
 @kernel
 def hear(
     tick: int,
     dt: float,
+    models: IntArray,
     link: IntArray,
     faults: FloatArray,
     lateral: FloatArray,
@@ -68,11 +62,11 @@ def hear(
 ) -> None:
     """Receive what the source of `link` sends at `tick`, and fill what the target knows of it.
 
-    `link` (7,) and `faults` (10, members) are rows of a Plan, `memory` (vectors, members) is that
-    of all its links. All others have shape (members,): the lateral distance, the present values of
-    the source (read if an exchange of the link is due), the target's own position, and the result.
-    The known speed is that of the latest message. An unknown source has circulation 0, so it causes
-    no drag.
+    `models` (models,) are the codes of link models. `link` (7,) and `faults` (10, members) are rows
+    of a Plan, `memory` (vectors, members) is that of all its links. All others have shape
+    (members,): the lateral distance, the present values of the source (read if an exchange of the
+    link is due), the target's own position, and the result. The known speed is that of the latest
+    message. An unknown source has circulation 0, so it causes no drag.
     """
     step, stage = tick // STAGES, tick % STAGES
     rows = link[ROWS]
@@ -97,7 +91,7 @@ def hear(
         else:
             known_speed[m] = memory[at + SPEED, m]
             known_position[m], known_circulation[m] = perceive(
-                link[MODEL],
+                models[link[MODEL]],
                 (age + NODES[stage]) * dt,
                 memory[at + POSITION, m],
                 memory[at + SPEED, m],
@@ -202,13 +196,3 @@ def _arrive(
 @kernel
 def _speed_is_altered(faults: FloatArray, m: int) -> bool:
     return bool(faults[SPEED_NOISE, m] > 0.0 or faults[SPEED_QUANTUM, m] > 0.0)
-
-
-def hearing() -> Hear:
-    """Return `hear` with all link models: the kernel itself if no other model is registered."""
-    return _hearing(tuple(MODELS)) if len(MODELS) > BUILT_IN else hear
-
-
-@cache
-def _hearing(models: tuple[LinkModel, ...]) -> Hear:
-    return anew(hear, perceive=choice(models))

@@ -69,25 +69,19 @@ def _let_kernels_call(functions: Iterable[FunctionType], **options: bool) -> Non
             numba.extending.register_jitable(**RULES, **own, forceinline=True)(function)
 
 
-def anew(function: Function, **callees: Callable[..., object]) -> Function:
-    """Compile a function, or recompile a kernel, by the same rules, for this process only.
-
-    `callees` replace the functions that it calls by these names. The code on disk does not have
-    these replacements.
-    """
-    return _anew(function, callees)
+def anew(function: Function) -> Function:
+    """Compile a function, or recompile a kernel, by the same rules, for this process only."""
+    return _anew(function)
 
 
 def anew_for_kernels(function: Function, **options: bool) -> Function:
     """Compile a function as `anew` does, with these options; only compiled code can call it."""
-    return _anew(function, {}, **INNER, **options)
+    return _anew(function, **INNER, **options)
 
 
-def _anew(
-    function: Function, callees: dict[str, Callable[..., object]], **options: bool
-) -> Function:
+def _anew(function: Function, **options: bool) -> Function:
     plain: Any = getattr(function, "py_func", function)
-    names = {**plain.__globals__, **callees}
+    names = plain.__globals__
     copy = FunctionType(
         plain.__code__, names, plain.__name__, plain.__defaults__, plain.__closure__
     )

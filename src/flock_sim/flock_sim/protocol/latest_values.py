@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.links.choice import perceive
+from flock_sim.links.compiled_model import codes, perceive
 from flock_sim.links.models import LINEAR
 from flock_sim.links.registry import MODELS
 from flock_sim.links.settings import Settings
@@ -33,9 +33,8 @@ class LatestValues:
         members, link_table = configuration.members, configuration.link_table
         self._dt = configuration.dt
         self._place = {other: k for k, other in enumerate(neighbours)}
-        self._models = np.array(
-            [_model(link_table.of(other, bird)) for other in neighbours], dtype=np.int64
-        )
+        used = [_model(link_table.of(other, bird)) for other in neighbours]
+        self._models = codes(used)[np.array(used, dtype=np.int64)]
         self._values = np.zeros((len(neighbours), RATE + 1, members))
         self._known = np.zeros((2, len(neighbours), stage_words(members)))
         self.steps: IntArray = np.full(len(neighbours), -1, dtype=np.int64)
@@ -91,7 +90,10 @@ def _fill(
     values: FloatArray,
     known: FloatArray,
 ) -> None:
-    """Fill positions, speeds and circulations of `known` (neighbours, words)."""
+    """Fill positions, speeds and circulations of `known` (neighbours, words).
+
+    `models` (neighbours,) are the codes of the link models.
+    """
     members = values.shape[2]
     speed = FIRST_WORD + members + 1
     circulation = FIRST_WORD + 2 * (members + 1)

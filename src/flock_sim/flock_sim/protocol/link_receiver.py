@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-
 import numpy as np
 
 from flock_sim.configuration.flock_configuration import FlockConfiguration
-from flock_sim.links.channel import Hear, hear, hearing
+from flock_sim.links.channel import hear
+from flock_sim.links.compiled_model import codes
+from flock_sim.links.link_table import MODEL
 from flock_sim.messages.stage_layout import FIRST_WORD, stage_words
 from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.compile import kernel
 from flock_sim.physics.stage_kernels import LATERAL
 
 
@@ -31,7 +30,7 @@ class LinkReceiver:
         self._slice = slice(*(members * link_table.memory_ends[bird - 1 : bird + 1]))
         self._dt = configuration.dt
         self._known = np.zeros((2, len(self._plan.links), stage_words(members)))
-        self._listen = _listening(hearing())
+        self._models = codes(self._plan.links[:, MODEL])
         self.memory = self._plan.memory()
 
     def begin(self, memory: FloatArray) -> None:
@@ -49,9 +48,10 @@ class LinkReceiver:
         `said` has shape (neighbours, words): the messages of this tick if it has an exchange.
         `interactions` and `mine` are as in `feel_and_move`; the result is its `heard` at this tick.
         """
-        self._listen(
+        _listen(
             tick,
             self._dt,
+            self._models,
             self._plan.links,
             self._plan.faults,
             interactions,
@@ -67,6 +67,7 @@ class LinkReceiver:
 def _listen(
     tick: int,
     dt: float,
+    models: IntArray,
     links: IntArray,
     faults: FloatArray,
     interactions: FloatArray,
@@ -85,6 +86,7 @@ def _listen(
         hear(
             tick,
             dt,
+            models,
             links[k],
             faults[k],
             interactions[LATERAL, k * members : (k + 1) * members],
@@ -97,9 +99,3 @@ def _listen(
             known[side, k, speed : speed + members],
             known[side, k, circulation : circulation + members],
         )
-
-
-@cache
-def _listening(heard: Hear) -> Callable[..., None]:
-    """Return `_listen`, compiled for the result of `hearing`."""
-    return _listen if heard is hear else anew(_listen, hear=heard)

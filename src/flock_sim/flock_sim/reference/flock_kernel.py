@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-
 import numpy as np
 
 from flock_sim.forcing import frame
 from flock_sim.forcing.stage import compute_force
-from flock_sim.links.channel import Hear, hear
+from flock_sim.links.channel import hear
 from flock_sim.links.link_table import SOURCE, TARGET
 from flock_sim.physics.arrays import FloatArray, IntArray
-from flock_sim.physics.compile import anew, kernel
+from flock_sim.physics.compile import kernel
 from flock_sim.physics.dynamics import canonical, circulation_at
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.stage_kernels import (
@@ -72,6 +69,7 @@ def add_forces(
 def add_forces_over_links(
     tick: int,
     dt: float,
+    models: IntArray,
     links: IntArray,
     faults: FloatArray,
     memory: FloatArray,
@@ -84,9 +82,10 @@ def add_forces_over_links(
 ) -> None:
     """Add to `drag`, at `tick`, what each target computes from its link, and update the memory.
 
-    `links`, `faults` and `memory` are those of a Plan, `interactions` is the interaction array of
-    its links. `known` (links, 3, members) is filled with the position, speed and circulation that
-    each target has of its source. The others have shape (birds, members).
+    `models` (models,) are the codes of link models. `links`, `faults` and `memory` are those of a
+    Plan, `interactions` is the interaction array of its links. `known` (links, 3, members) is
+    filled with the position, speed and circulation that each target has of its source. The others
+    have shape (birds, members).
     """
     members = position.shape[1]
     for k in range(links.shape[0]):
@@ -96,6 +95,7 @@ def add_forces_over_links(
         hear(
             tick,
             dt,
+            models,
             links[k],
             faults[k],
             interactions[LATERAL, first : first + members],
@@ -125,6 +125,7 @@ def forces(
     dt: float,
     coefficients: FloatArray,
     pairs: IntArray,
+    models: IntArray,
     links: IntArray,
     faults: FloatArray,
     memory: FloatArray,
@@ -147,6 +148,7 @@ def forces(
         add_forces_over_links(
             tick,
             dt,
+            models,
             links,
             faults,
             memory,
@@ -191,6 +193,7 @@ def advance(
     every: int,
     coefficients: FloatArray,
     pairs: IntArray,
+    models: IntArray,
     links: IntArray,
     faults: FloatArray,
     memory: FloatArray,
@@ -223,6 +226,7 @@ def advance(
                 dt,
                 coefficients,
                 pairs,
+                models,
                 links,
                 faults,
                 memory,
@@ -306,13 +310,3 @@ def add_forcing(
         for m in range(members):
             coefficients[frame.THRUST, i * members + m] = thrust[m] + force[m]
     return True
-
-
-@cache
-def flying(heard: Hear) -> tuple[Callable[..., None], Callable[..., int]]:
-    """Return `forces` and `advance` for `heard`, which is `hear` or the result of `hearing`."""
-    if heard is hear:
-        return forces, advance
-    over_links = anew(add_forces_over_links, hear=heard)
-    all_forces = anew(forces, add_forces_over_links=over_links)
-    return all_forces, anew(advance, forces=all_forces)

@@ -13,15 +13,15 @@ from flock_sim.configuration.flock_configuration import FlockConfiguration
 from flock_sim.configuration.perturbation import Perturbation, in_order
 from flock_sim.forcing.bird_forcing import BirdForcing
 from flock_sim.forcing.frame import FIRST_LINK
-from flock_sim.links.channel import hear, hearing
-from flock_sim.links.link_table import SOURCE, TARGET
+from flock_sim.links.compiled_model import codes
+from flock_sim.links.link_table import MODEL, SOURCE, TARGET
 from flock_sim.physics import formation
 from flock_sim.physics.arrays import FloatArray, IntArray
 from flock_sim.physics.flock import Flock
 from flock_sim.physics.flock_state import FlockState
 from flock_sim.physics.runge_kutta import STAGES
 from flock_sim.physics.stage_kernels import sum_up
-from flock_sim.reference.flock_kernel import RECORDED, flying
+from flock_sim.reference.flock_kernel import RECORDED, advance, forces
 
 
 class Reference:
@@ -53,7 +53,6 @@ class Reference:
         self.speed = np.full((birds, members), self.flock.scales.cruise_speed)
         self.step = 0
         plain = configuration.link_table.plain
-        self._forces, self._advance = flying(hear if plain else hearing())
         plan = configuration.link_table.plan(range(1, 1 if plain else birds + 1), members)
         pairs = self.flock.pairs
         interacting = pairs if plain else plan.links[:, [TARGET, SOURCE]] - 1
@@ -61,6 +60,7 @@ class Reference:
         self._flown = (
             self.flock.elements,
             pairs if plain else pairs[:0],
+            codes(plan.links[:, MODEL]),
             plan.links,
             plan.faults,
             plan.memory(),
@@ -155,7 +155,7 @@ class Reference:
     def _integrate(self, until: int, recorded: FloatArray, states: FloatArray) -> None:
         """Take all steps to the beginning of step `until`, before its pushes."""
         flown = self.configuration
-        failed = self._advance(
+        failed = advance(
             self.position,
             self.speed,
             flown.dt,
@@ -183,13 +183,14 @@ class Reference:
 
     def observe(self) -> FloatArray:
         """Return the present state as `advance` records it, shape (6, birds, members)."""
-        coefficients, pairs, links, faults, memory, interactions, known = self._flown
+        coefficients, pairs, models, links, faults, memory, interactions, known = self._flown
         circulation, drag = np.empty_like(self.speed), np.empty_like(self.speed)
-        self._forces(
+        forces(
             STAGES * self.step,
             self.configuration.dt,
             coefficients,
             pairs,
+            models,
             links,
             faults,
             memory.copy(),  # a copy: the next step receives the present messages
